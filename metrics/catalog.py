@@ -80,10 +80,9 @@ def _smape(frame: Comparison) -> Tensor:
 
 
 def _mse_debiased(frame: Comparison) -> Tensor:
-    from metrics.image import bound_radiance, mse_debiased
+    from metrics.image import mse_debiased
 
-    halves = map(bound_radiance, (frame.half_a, frame.half_b))
-    return mse_debiased(frame.linear.image, *halves)
+    return mse_debiased(frame.linear.image, *frame.truth.linear_halves)
 
 
 def _bias(frame: Comparison) -> Tensor:
@@ -99,9 +98,10 @@ def _nonfinite(frame: Comparison) -> Tensor:
 
 
 def _ms_ssim(frame: Comparison, scales: int, convention: Convention | None = None) -> Tensor:
-    from metrics.ssim import ms_ssim
+    from metrics.ssim import combine_scales
 
-    return ms_ssim(*frame.encode(convention), scales, frame.similarity(convention))
+    image, windows = frame.encode(convention).image, frame.truth.windows(convention)
+    return combine_scales(image, windows[:scales], frame.similarity(convention))
 
 
 def _undefined(frame: Comparison, convention: Convention | None = None) -> Tensor:

@@ -34,15 +34,13 @@ def _psnr_late(frame: Comparison) -> Tensor:
 def _effort_error(frame: Comparison) -> Tensor:
     from metrics.effort import effort_error
 
-    counts: Any = frame.counts
-    return effort_error(counts, frame.display_error)
+    return effort_error(frame.count_ranks, frame.display_error)
 
 
 def _effort_noise(frame: Comparison) -> Tensor:
-    from metrics.effort import effort_noise
+    from metrics.effort import correlate_ranks
 
-    counts: Any = frame.counts
-    return effort_noise(counts, *frame.display_halves)
+    return correlate_ranks(frame.count_ranks, frame.truth.noise_ranks)
 
 
 def _at_cap(frame: Comparison) -> Tensor:

@@ -7,60 +7,65 @@ from __future__ import annotations
 
 import torch
 import torch.nn.functional as F
-from jaxtyping import Float, Int
+from jaxtyping import Float, Float64, Int
 from torch import Tensor
 
-__all__ = ["at_cap", "effort_error", "effort_noise", "rank_correlation"]
+__all__ = [
+    "at_cap",
+    "centre_ranks",
+    "correlate_ranks",
+    "effort_error",
+    "rank_correlation",
+    "scene_noise",
+]
 
 NOISE_WINDOW = 7  # pixels: side of the square over which the noise of the halves is averaged
 MAX_BINS = 2**12  # range of integers that are ranked by counting
 
 
 def effort_error(
-    counts: Int[Tensor, "n 1 h w"], error: Float[Tensor, "n 3 h w"]
+    count_ranks: Float64[Tensor, "n pixels"], error: Float[Tensor, "n 3 h w"]
 ) -> Float[Tensor, " n"]:
     """Rank correlation of sample counts with the error that is left, in [-1, 1].
 
     Spearman's, of the counts and the squared display error (`Comparison.display_error`), mean over
     channels, of each pixel of the method's own image. Well above 0: most error is left where most
     samples went, so these pixels still had too few. Near 0: effort has evened the error out, or
-    ignored it; `effort_noise` tells which. Equal counts score 0. A pixel that is not finite has the
-    largest error, 1.
+    ignored it; the correlation with `scene_noise` tells which. Equal counts score 0. A pixel that
+    is not finite has the largest error, 1.
 
     >>> error = torch.tensor([0.0, -0.1, 0.2, 0.3]).view(1, 1, 2, 2).expand(1, 3, 2, 2)
-    >>> effort_error(torch.tensor([[[[1, 2], [4, 8]]]]), error)
+    >>> effort_error(centre_ranks(torch.tensor([[[[1, 2], [4, 8]]]])), error)
     tensor([1.])
     """
+    if not count_ranks.any():  # equal counts: errors need not be sorted
+        return torch.zeros(len(count_ranks), device=count_ranks.device)
     squares = error.square().nan_to_num(nan=1.0)
-    return rank_correlation(counts, squares.mean(1, keepdim=True))
+    return correlate_ranks(count_ranks, centre_ranks(squares.mean(1, keepdim=True)))
 
 
-def effort_noise(
-    counts: Int[Tensor, "n 1 h w"],
-    display_a: Float[Tensor, "n 3 h w"],
-    display_b: Float[Tensor, "n 3 h w"],
-) -> Float[Tensor, " n"]:
-    """Rank correlation of sample counts with the noise of the scene, in [-1, 1].
+def scene_noise(
+    display_a: Float[Tensor, "n 3 h w"], display_b: Float[Tensor, "n 3 h w"]
+) -> Float[Tensor, "n 1 h w"]:
+    """The noise of the scene in each pixel, which a method's effort should follow.
 
-    Spearman's. The noise of a pixel is the squared difference of the two reference halves, both in
-    clipped sRGB, mean over channels and over NOISE_WINDOW x NOISE_WINDOW pixels: both halves have
-    equally many samples in every pixel, so it is proportional to the variance of one sample. It is
-    the same for all methods, unlike the error of their images, and so shows what a method meant to
-    do. Equal counts score 0. Differs from the variance itself by the noise of one pair of halves,
-    which lowers the score of a perfect density below 1.
+    The squared difference of the two reference halves, both in clipped sRGB, mean over channels and
+    over NOISE_WINDOW x NOISE_WINDOW pixels: both halves have equally many samples in every pixel,
+    so it is proportional to the variance of one sample. It is the same for all methods, unlike the
+    error of their images, and so the rank correlation of counts with it shows what a method meant
+    to do. Differs from the variance itself by the noise of one pair of halves, which lowers the
+    correlation of a perfect density below 1.
 
     >>> display_a = torch.zeros(1, 3, 1, 64)
     >>> display_b = torch.linspace(0, 1, 64).expand(1, 3, 1, 64)
     >>> rising = torch.arange(64).view(1, 1, 1, 64) // 8
-    >>> effort_noise(rising, display_a, display_b) > 0.95
+    >>> rank_correlation(rising, scene_noise(display_a, display_b)) > 0.95
     tensor([True])
     """
-    if _is_constant(counts):
-        return torch.zeros(len(counts), device=counts.device)
     noise = (display_a - display_b).square().mean(1, keepdim=True)
     for dim in (2, 3):  # the mean over the pixels of a square that are inside the image
         noise = _sum_window(noise, dim) / _sum_window(torch.ones_like(noise), dim)
-    return rank_correlation(counts, noise)
+    return noise
 
 
 def at_cap(counts: Int[Tensor, "n 1 h w"], max_samples: int) -> Float[Tensor, " n"]:
@@ -89,8 +94,31 @@ def rank_correlation(
     >>> rank_correlation(torch.tensor([[[[1, 2, 3]]]]), torch.tensor([[[[0.1, 50.0, 0.2]]]]))
     tensor([0.5000])
     """
-    pairs = zip(x.flatten(1), y.flatten(1), strict=True)
-    return torch.stack([_correlate_ranks(a, b) for a, b in pairs])
+    return correlate_ranks(centre_ranks(x), centre_ranks(y))
+
+
+def centre_ranks(
+    values: Float[Tensor, "n 1 h w"] | Int[Tensor, "n 1 h w"],
+) -> Float64[Tensor, "n pixels"]:
+    """Ranks of the pixels of each image, less their mean; equal values share their mean rank.
+
+    >>> centre_ranks(torch.tensor([[[[0.1, 50.0, 0.2, 0.2]]]]))
+    tensor([[-1.5000,  1.5000,  0.0000,  0.0000]], dtype=torch.float64)
+    """
+    return torch.stack([_centre_ranks(each) for each in values.flatten(1)])
+
+
+def correlate_ranks(
+    x: Float64[Tensor, "n pixels"], y: Float64[Tensor, "n pixels"]
+) -> Float[Tensor, " n"]:
+    """Correlation of ranks that `centre_ranks` made; 0 where all of x or all of y are equal.
+
+    >>> rising = centre_ranks(torch.tensor([[[[1, 2, 3]]]]))
+    >>> correlate_ranks(rising, -rising)
+    tensor([-1.])
+    """
+    size = (x.square().sum(1) * y.square().sum(1)).sqrt()
+    return ((x * y).sum(1) / size).where(size > 0, 0.0).float()
 
 
 def _sum_window(values: Tensor, dim: int) -> Tensor:
@@ -103,8 +131,8 @@ def _sum_window(values: Tensor, dim: int) -> Tensor:
     return total
 
 
-def _centred_ranks(values: Tensor) -> Tensor:
-    """Ranks less their mean, in double precision; equal values share their mean rank."""
+def _centre_ranks(values: Tensor) -> Tensor:
+    """The ranks of one image."""
     keys = _ordered_integers(values)
     least = int(keys.min())
     if int(keys.max()) - least <= MAX_BINS:  # counts: nothing needs to be sorted
@@ -114,10 +142,6 @@ def _centred_ranks(values: Tensor) -> Tensor:
     _, group, sizes = torch.unique_consecutive(ascending, return_inverse=True, return_counts=True)
     ranks = _group_ranks(sizes)[group]
     return torch.empty_like(ranks).scatter_(0, order, ranks)
-
-
-def _is_constant(values: Tensor) -> bool:
-    return bool(values.min() == values.max())
 
 
 def _group_ranks(sizes: Tensor) -> Tensor:
@@ -135,12 +159,3 @@ def _ordered_integers(values: Tensor) -> Tensor:
         return values
     bits = (values + 0.0).view(torch.int64 if values.dtype == torch.float64 else torch.int32)
     return torch.where(bits < 0, bits ^ torch.iinfo(bits.dtype).max, bits)  # -0.0 became 0.0
-
-
-def _correlate_ranks(x: Tensor, y: Tensor) -> Tensor:
-    """Correlation of the ranks of two vectors; 0, without ranking, if one has a single value."""
-    if _is_constant(x) or _is_constant(y):
-        return torch.zeros((), device=x.device)
-    a, b = _centred_ranks(x), _centred_ranks(y)
-    correlation: Tensor = (a * b).sum() / (a.square().sum() * b.square().sum()).sqrt()
-    return correlation.float()

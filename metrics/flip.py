@@ -127,7 +127,7 @@ def flip(comparison: Comparison) -> Tensor:
 
     >>> import torch
     >>> reference = torch.rand(1, 3, 16, 16)
-    >>> flip(Comparison(reference, reference, reference))
+    >>> flip(Comparison.of(reference, reference, reference))
     tensor([0.])
 
     Raises FlipError.

@@ -9,6 +9,8 @@ from dataclasses import dataclass, field, replace
 from functools import cached_property, partial
 from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple
 
+from metrics.ground_truth import GroundTruth
+
 if TYPE_CHECKING:
     from metrics.conventions import Convention
 
@@ -29,32 +31,44 @@ class EncodedPair(NamedTuple):
 class Comparison:
     """An image beside its reference, and what metrics derive from both, each computed once.
 
-    `image` and the two independent halves of the reference are [n 3 h w] in linear radiance, where
-    1.0 is display white. The halves must be finite. `previous` is the frame before, with what it
-    computed; of a chain of frames MAX_PREVIOUS are kept before this one, and older ones forgotten.
+    `image` is [n 3 h w] in linear radiance, where 1.0 is display white. What depends on the
+    reference alone is kept in `truth`, and shared by all images that are compared with it.
+    `previous` is the frame before, with what it computed; of a chain of frames MAX_PREVIOUS are
+    kept before this one, and older ones forgotten.
 
     >>> import torch
     >>> black, white = torch.zeros(1, 3, 8, 8), torch.ones(1, 3, 8, 8)
-    >>> first = Comparison(black, black, white)
+    >>> truth = GroundTruth(black, white)
+    >>> first = Comparison(black, truth)
     >>> first.reference.mean(), first.display_reference.mean()
     (tensor(0.5000), tensor(0.7354))
-    >>> second = Comparison(black, black, white, previous=first)
-    >>> third = Comparison(black, black, white, previous=second)
-    >>> third.frames_before, Comparison(black, black, white, previous=third).frames_before
+    >>> third = Comparison(black, truth, previous=Comparison(black, truth, previous=first))
+    >>> third.frames_before, Comparison(black, truth, previous=third).frames_before
     (2, 2)
     """
 
     image: Tensor
-    half_a: Tensor
-    half_b: Tensor
+    truth: GroundTruth
     counts: Tensor | None = None  # [n 1 h w] samples drawn; None where they are not known
-    motion: Tensor | None = None  # [n 2 h w] pixels to the previous frame; None if static, unknown
-    static: bool = False  # nothing moves from the previous frame to this one
     max_samples: int | None = None  # most samples that one pixel can have; None: not known
     previous: Comparison | None = field(default=None, repr=False)
 
     _encoded: dict[str, EncodedPair] = field(default_factory=dict, init=False, repr=False)
     _similar: dict[str, Any] = field(default_factory=dict, init=False, repr=False)
+
+    @classmethod
+    def of(
+        cls,
+        image: Tensor,
+        half_a: Tensor,
+        half_b: Tensor,
+        *,
+        motion: Tensor | None = None,
+        static: bool = False,
+        **given: Any,
+    ) -> Comparison:
+        """An image beside a reference that it shares with no other; `given` are other fields."""
+        return cls(image, GroundTruth(half_a, half_b, motion, static), **given)
 
     def __post_init__(self) -> None:
         """Forget frames that are too old."""
@@ -66,10 +80,30 @@ class Comparison:
         """Number of frames before this one that are known, 0 to MAX_PREVIOUS."""
         return 0 if self.previous is None else 1 + self.previous.frames_before
 
-    @cached_property
+    @property
+    def half_a(self) -> Tensor:
+        """One half of the reference, [n 3 h w] in linear radiance."""
+        return self.truth.half_a
+
+    @property
+    def half_b(self) -> Tensor:
+        """The other, independent half of the reference, [n 3 h w] in linear radiance."""
+        return self.truth.half_b
+
+    @property
     def reference(self) -> Tensor:
         """The mean of both halves, [n 3 h w] in linear radiance."""
-        return (self.half_a + self.half_b) / 2
+        return self.truth.mean
+
+    @property
+    def motion(self) -> Tensor | None:
+        """Pixels to the previous frame, [n 2 h w]; None if the frame is static, or not known."""
+        return self.truth.motion
+
+    @property
+    def static(self) -> bool:
+        """True if nothing moves from the previous frame to this one."""
+        return self.truth.static
 
     @property
     def display_image(self) -> Tensor:
@@ -91,7 +125,7 @@ class Comparison:
 
         convention = convention or SRGB
         if convention.name not in self._encoded:
-            image, reference = map(convention.encode, (self.image, self.reference))
+            image, reference = convention.encode(self.image), self.truth.encode(convention)
             if self.has_nonfinite:
                 worst = (reference < 0.5).to(reference.dtype)
                 image = image.where(~self.nonfinite_mask, worst)
@@ -116,14 +150,20 @@ class Comparison:
         from metrics.image import bound_radiance
 
         mask = self.nonfinite_mask if self.has_nonfinite else None
-        return EncodedPair(bound_radiance(self.image, mask), bound_radiance(self.reference))
+        return EncodedPair(bound_radiance(self.image, mask), self.truth.linear)
 
-    @cached_property
+    @property
     def display_halves(self) -> tuple[Tensor, Tensor]:
         """The two halves of the reference in clipped sRGB, each [n 3 h w] in [0, 1]."""
-        from metrics.display import encode_display
+        return self.truth.display_halves
 
-        return encode_display(self.half_a), encode_display(self.half_b)
+    @cached_property
+    def count_ranks(self) -> Tensor:
+        """Ranks of the pixels by their `counts`, which must be known, [n pixels]."""
+        from metrics.effort import centre_ranks
+
+        counts: Any = self.counts
+        return centre_ranks(counts)
 
     def similarity(self, convention: Convention | None = None) -> Any:
         """What SSIM and MS-SSIM share under a convention, a `metrics.ssim.SimilarityTerms`."""
@@ -132,7 +172,8 @@ class Comparison:
 
         name = (convention or SRGB).name
         if name not in self._similar:
-            self._similar[name] = similarity_terms(*self.encode(convention))
+            finest = self.truth.windows(convention)[0]
+            self._similar[name] = similarity_terms(self.encode(convention).image, finest)
         return self._similar[name]
 
     @cached_property
@@ -150,7 +191,7 @@ class Comparison:
         from metrics.temporal import change_of_error
 
         previous: Any = self.previous
-        return change_of_error(self.display_error, previous.display_error, self.motion)
+        return change_of_error(self.display_error, previous.display_error, self.truth.source)
 
     def has(self, name: str) -> bool:
         """True if `counts`, `max_samples` or `motion` is known; a static frame's motion is 0."""
@@ -209,7 +250,9 @@ class Metric:
     takes_convention: bool = False  # `score` takes `convention=`, of metrics.conventions
     source: str = ""  # author and year of the definition
 
-    compare: ClassVar[type[Comparison]] = Comparison  # what the benchmark hands to `score`
+    compare: ClassVar[Callable[..., Comparison]] = Comparison.of  # one image with one reference
+    comparison: ClassVar[type[Comparison]] = Comparison  # what the benchmark hands to `score`
+    truth: ClassVar[type[GroundTruth]] = GroundTruth  # what it compares images with
 
     def __post_init__(self) -> None:
         """Raise ValueError for a metric that is never handed the frames that it needs."""

@@ -1,6 +1,7 @@
 """SSIM and MS-SSIM of images that a convention has encoded, in [0, 1].
 
-Four Gaussian means are enough: of x, y, xy and x^2 + y^2, since both variances occur as their sum.
+Four Gaussian means are enough: of x, xy and x^2 + y^2, since both variances occur as their sum, and
+of y, which serves all images that are compared with the reference (`reference_windows`).
 A Gaussian is separable, and each pass is a product with a banded matrix, in blocks of 32 outputs
 from 42 inputs: it takes four times as many multiplications as 11 taps, but a matrix product does
 20 times as many a second as a convolution of single channels. Strips of 32 rows stay in the cache.
@@ -9,7 +10,7 @@ from 42 inputs: it takes four times as many multiplications as 11 taps, but a ma
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator, Sequence
 from functools import lru_cache, partial
 from typing import NamedTuple
 
@@ -18,7 +19,17 @@ import torch.nn.functional as F
 from jaxtyping import Float, Float64
 from torch import Tensor
 
-__all__ = ["SCALE_WEIGHTS", "SimilarityTerms", "max_scales", "ms_ssim", "similarity_terms", "ssim"]
+__all__ = [
+    "SCALE_WEIGHTS",
+    "ReferenceWindows",
+    "SimilarityTerms",
+    "combine_scales",
+    "max_scales",
+    "ms_ssim",
+    "reference_windows",
+    "similarity_terms",
+    "ssim",
+]
 
 SCALE_WEIGHTS = (0.0448, 0.2856, 0.3001, 0.2363, 0.1333)  # Wang et al. 2003, from fine to coarse
 WINDOW = 11  # taps of the Gaussian
@@ -42,14 +53,11 @@ def ssim(
     >>> ssim(image, image), ssim(1 - image, image) < 0
     (tensor([1.]), tensor([True]))
     """
-    return similarity_terms(image, reference).ssim
+    return similarity_terms(image, *reference_windows(reference)).ssim
 
 
 def ms_ssim(
-    image: Float[Tensor, "n 3 h w"],
-    reference: Float[Tensor, "n 3 h w"],
-    scales: int = 5,
-    finest: SimilarityTerms | None = None,
+    image: Float[Tensor, "n 3 h w"], reference: Float[Tensor, "n 3 h w"], scales: int = 5
 ) -> Float[Tensor, " n"]:
     """Multi-scale structural similarity of encoded images, in [0, 1]; higher is better.
 
@@ -60,23 +68,37 @@ def ms_ssim(
     before they are halved.
 
     With fewer than 5 `scales` the coarsest are left out, and the other weights are scaled to the
-    sum of all; that is a different metric and needs a different name. `finest` are the terms of
-    these images, if they are known. Raises ValueError if a side is too small for `scales`.
+    sum of all; that is a different metric and needs a different name. Raises ValueError if a side
+    is too small for `scales`.
 
     >>> image = torch.rand(1, 3, 64, 96, generator=torch.Generator().manual_seed(0))
     >>> ms_ssim(image, image, max_scales(64, 96))
     tensor([1.])
     """
-    _check_scales(image, scales)
-    normalisation = math.fsum(SCALE_WEIGHTS) / math.fsum(SCALE_WEIGHTS[:scales])
+    return combine_scales(image, reference_windows(reference, scales))
+
+
+def combine_scales(
+    image: Float[Tensor, "n 3 h w"],
+    windows: Sequence[ReferenceWindows],
+    finest: SimilarityTerms | None = None,
+) -> Float[Tensor, " n"]:
+    """MS-SSIM of an image and the reference of these `windows`, from fine to coarse.
+
+    `finest` are the terms of the first scale, if they are known.
+
+    >>> image = torch.rand(1, 3, 64, 96, generator=torch.Generator().manual_seed(0))
+    >>> combine_scales(image, reference_windows(image, scales=2))
+    tensor([1.])
+    """
+    normalisation = math.fsum(SCALE_WEIGHTS) / math.fsum(SCALE_WEIGHTS[: len(windows)])
     score = torch.ones_like(image[:, :, 0, 0])
-    for scale, weight in enumerate(SCALE_WEIGHTS[:scales]):
+    for scale, (reference, weight) in enumerate(zip(windows, SCALE_WEIGHTS, strict=False)):
         terms = (finest if scale == 0 else None) or similarity_terms(image, reference)
-        is_coarsest = scale == scales - 1
+        is_coarsest = scale == len(windows) - 1
         term = terms.similarity if is_coarsest else terms.contrast
         score = score * term.float().clamp_min(0) ** (weight * normalisation)
-        if not is_coarsest:
-            image, reference = _halve(image), _halve(reference)
+        image = image if is_coarsest else _halve(image)
     return score.mean(1)
 
 
@@ -102,18 +124,44 @@ class SimilarityTerms(NamedTuple):
         return self.similarity.mean(1).float()
 
 
+class ReferenceWindows(NamedTuple):
+    """A reference at one scale, and its Gaussian means over all windows, by tiles."""
+
+    image: Float[Tensor, "n 3 h w"]
+    means: Sequence[Float[Tensor, "1 tiles n 3 rows columns"]]
+
+
+def reference_windows(
+    reference: Float[Tensor, "n 3 h w"], scales: int = 1
+) -> list[ReferenceWindows]:
+    """What `similarity_terms` reads of an encoded reference, at full size and then half and half.
+
+    Raises ValueError if a side is too small for `scales`.
+
+    >>> [each.image.shape[-1] for each in reference_windows(torch.rand(1, 3, 64, 96), scales=3)]
+    [96, 48, 24]
+    """
+    _check_scales(reference, scales)
+    windows: list[ReferenceWindows] = []
+    for _ in range(scales):
+        image = _halve(windows[-1].image) if windows else reference
+        means = list(_window_means(lambda y: (y,), image))
+        windows.append(ReferenceWindows(image, means))
+    return windows
+
+
 def similarity_terms(
-    image: Float[Tensor, "n 3 h w"], reference: Float[Tensor, "n 3 h w"]
+    image: Float[Tensor, "n 3 h w"], reference: ReferenceWindows
 ) -> SimilarityTerms:
-    """What `ssim` and the finest scale of `ms_ssim` share. Raises ValueError as `ssim` does.
+    """What `ssim` and the finest scale of `ms_ssim` share, of images of one size.
 
     >>> image = torch.rand(1, 3, 32, 48, generator=torch.Generator().manual_seed(0))
-    >>> similarity_terms(image, image).contrast.float()
+    >>> similarity_terms(image, *reference_windows(image)).contrast.float()
     tensor([[1., 1., 1.]])
     """
-    _check_scales(image, 1)
     similarity = contrast = torch.zeros_like(image[:, :, 0, 0], dtype=torch.float64)
-    for x, y, squares, product in _window_means(image, reference):
+    tiles = _window_means(lambda x, y: (x, x * y, x * x + y * y), image, reference.image)
+    for (x, product, squares), (y,) in zip(tiles, reference.means, strict=True):
         mean_product, mean_squares = x * y, x * x + y * y
         structure = (2 * (product - mean_product) + C2) / (squares - mean_squares + C2)
         luminance = (2 * mean_product + C1) / (mean_squares + C1)
@@ -123,24 +171,23 @@ def similarity_terms(
     return SimilarityTerms(similarity / windows, contrast / windows)
 
 
-def _window_means(image: Tensor, reference: Tensor) -> Iterator[Tensor]:
-    """Gaussian means of x, y, x^2 + y^2 and xy over all windows, by tiles [4 tiles n 3 r c]."""
-    (n, channels, height, width), reach = image.shape, WINDOW - 1
+def _window_means(moments: Callable[..., Sequence[Tensor]], *images: Tensor) -> Iterator[Tensor]:
+    """Gaussian means of the moments of images over all windows, by tiles [m tiles n 3 r c]."""
+    (n, channels, height, width), reach = images[0].shape, WINDOW - 1
     blocks, rest = divmod(width - reach, BLOCK)
-    band = partial(_band, dtype=image.dtype, device=image.device)
+    band = partial(_band, dtype=images[0].dtype, device=images[0].device)
     to_block = band(BLOCK).expand(blocks, -1, -1)
     for top in range(0, height - reach, BLOCK):
         rows = min(BLOCK, height - reach - top)
-        x, y = (each[..., top : top + rows + reach, :] for each in (image, reference))
-        moments = torch.stack((x, y, x * x + y * y, x * y))
-        columns = (band(rows).mT @ moments).flatten(0, -2)  # [4 n 3 rows, width]
-        shape = (4, n, channels, rows)
+        strip = moments(*(each[..., top : top + rows + reach, :] for each in images))
+        columns = (band(rows).mT @ torch.stack(tuple(strip))).flatten(0, -2)
+        shape = (len(strip), n, channels, rows)
         if blocks:
             inputs = columns.unfold(1, BLOCK + reach, BLOCK).transpose(0, 1)
             yield torch.bmm(inputs, to_block).view(blocks, *shape, BLOCK).movedim(1, 0)
         if rest:
             edge = columns[:, blocks * BLOCK :] @ band(rest)
-            yield edge.view(4, 1, n, channels, rows, rest)
+            yield edge.view(shape[0], 1, n, channels, rows, rest)
 
 
 @lru_cache(maxsize=4 * BLOCK)

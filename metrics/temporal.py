@@ -22,6 +22,7 @@ __all__ = [
     "Source",
     "change_of_error",
     "flicker",
+    "locate_source",
     "tpsnr",
     "warp",
     "warped_error",
@@ -73,7 +74,7 @@ def tpsnr(
 def change_of_error(
     error: Float[Tensor, "n 3 h w"],
     previous_error: Float[Tensor, "n 3 h w"],
-    motion: Float[Tensor, "n 2 h w"] | None,
+    source: Source,
 ) -> ErrorChange:
     """The display error less that of the previous frame, moved along the motion (see `warp`).
 
@@ -83,10 +84,10 @@ def change_of_error(
     >>> error = torch.zeros(1, 3, 1, 4)
     >>> error[..., 1] = 0.5
     >>> moved_left = torch.ones(1, 1, 1, 4) * torch.tensor([1.0, 0.0]).view(1, 2, 1, 1)
-    >>> change_of_error(error.roll(-1, 3), error, moved_left).change.abs().max()
+    >>> source = locate_source(error, moved_left)
+    >>> change_of_error(error.roll(-1, 3), error, source).change.abs().max()
     tensor(0.)
     """
-    source = _locate(previous_error, motion)
     moved = _read_keeping_nan(previous_error, source)
     return ErrorChange(torch.where(source.is_inside, error - moved, 0.0 * error), source)
 
@@ -106,7 +107,7 @@ def warped_error(step: ErrorChange) -> Float[Tensor, " n"]:
     the reference counts twice, and bilinear taps lower that of the previous frame.
 
     >>> error = torch.zeros(1, 3, 8, 8)
-    >>> warped_error(change_of_error(error + 0.1, error, motion=None))
+    >>> warped_error(change_of_error(error + 0.1, error, locate_source(error, motion=None)))
     tensor([10.])
     """
     return 100 * _root_mean_square(step.change, step.source.is_inside, WORST_CHANGE)
@@ -127,7 +128,8 @@ def flicker(step: ErrorChange, previous_step: ErrorChange) -> Float[Tensor, " n"
     three frames has the largest value, 4 / sqrt(6).
 
     >>> error = [torch.full((1, 3, 8, 8), value) for value in (0.1, 0.2, 0.3, 0.0)]
-    >>> steps = [change_of_error(b, a, None) for a, b in zip(error, error[1:])]
+    >>> static = locate_source(error[0], motion=None)
+    >>> steps = [change_of_error(b, a, static) for a, b in zip(error, error[1:])]
     >>> drift, reversal = flicker(steps[1], steps[0]), flicker(steps[2], steps[1])
     >>> drift.round(decimals=4), reversal.round(decimals=4)  # |0.2 - 2 * 0.3 + 0.0| / sqrt(6)
     (tensor([0.]), tensor([16.3299]))
@@ -154,12 +156,19 @@ def warp(
     >>> moved.flatten().tolist(), is_inside.flatten().tolist()
     ([1.0, 3.0, 4.0], [True, True, False])
     """
-    source = _locate(values, motion)
+    source = locate_source(values, motion)
     return _read(values, source), source.is_inside
 
 
-def _locate(like: Tensor, motion: Tensor | None) -> Source:
-    """Where pixels of an image [n c h w] were before."""
+def locate_source(
+    like: Float[Tensor, "n c h w"], motion: Float[Tensor, "n 2 h w"] | None
+) -> Source:
+    """Where the pixels of an image were in the previous frame; `like` gives its size.
+
+    >>> left = torch.tensor([-1.0, 0.0]).view(1, 2, 1, 1).expand(1, 2, 1, 3)
+    >>> locate_source(torch.zeros(1, 3, 1, 3), left).is_inside.flatten().tolist()
+    [False, True, True]
+    """
     h, w = like.shape[-2:]
     if motion is None:
         return Source(None, like.new_ones(like[:, :1].shape, dtype=torch.bool))

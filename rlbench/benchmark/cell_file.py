@@ -49,7 +49,7 @@ def write(file: Path, cell: CellId, rows: Sequence[Row]) -> None:
     import pyarrow as pa
     import pyarrow.parquet as pq
 
-    table = pa.Table.from_pylist([asdict(row) for row in rows], schema=arrow_schema())
+    table = pa.Table.from_pylist([vars(row) for row in rows], schema=arrow_schema())
     metadata = _Metadata(
         SCHEMA, cell.key, cell.content_hash, cell.times_hash, _checksum(cell, table)
     )

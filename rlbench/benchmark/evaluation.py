@@ -23,6 +23,7 @@ from rlbench.benchmark.cell_images import KeptImages
 from rlbench.benchmark.cell_key import FAILED, CellId
 from rlbench.benchmark.clip_sources import StoredSource
 from rlbench.benchmark.evaluated_metrics import EvaluatedMetric
+from rlbench.benchmark.ground_truths import ground_truth
 from rlbench.benchmark.results import WHOLE_CLIP, Row
 from rlbench.benchmark.scoring import compare_frame, refusal_row, score_clip, score_frame
 from rlbench.clips.header import Header
@@ -226,12 +227,13 @@ def _compare_frames(
     needs = {name for each in metrics for name in each.metric.needs}
     inputs = frozenset(needs & {"motion"} & set(kept.header.buffers))
     clip = open_clip(kept.clip.folder, inputs, max_samples=1, pool=kept.images.pool)
-    compare, compared = metrics[0].metric.compare, None
+    metric, compared = metrics[0].metric, None
     no_samples = torch.zeros(1, 1, 3, kept.header.height, kept.header.width)
     for index in range(len(kept.images)):
         image, counts = (torch.from_numpy(plane).float() for plane in kept.images.frame(index))
         frame = clip.frame_with_pool(index, StoredPool(no_samples, (0,)))
         samples = Samples(no_samples[:, :0], counts.long()[None, None])
         result = FrameResult(frame, samples, image[None], repairs={})
-        compared = compare_frame(compare, result, compared, kept.images.max_samples)
+        truth = ground_truth(metric, frame)
+        compared = compare_frame(metric, result, truth, compared, kept.images.max_samples)
         yield result, compared

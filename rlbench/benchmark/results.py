@@ -9,7 +9,6 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from contextlib import suppress
-from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -153,7 +152,7 @@ def to_dataframe(rows: Sequence[Row]) -> pd.DataFrame:
     import pyarrow as pa
 
     table: pd.DataFrame = pa.Table.from_pylist(
-        [asdict(row) for row in rows], schema=arrow_schema()
+        [vars(row) for row in rows], schema=arrow_schema()
     ).to_pandas()
     return table
 

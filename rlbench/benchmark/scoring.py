@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -14,7 +14,7 @@ from rlbench import registry
 from rlbench.benchmark.resolve import ResolvedCell
 from rlbench.benchmark.results import COUNT_PREFIX, EVENT_PREFIX, NOISE_CEILING, WHOLE_CLIP, Row
 from rlbench.clips.header import LIMITATIONS, Header
-from rlbench.ops.sanitize import sanitize_motion
+from rlbench.frames import Frame
 from rlbench.run import FrameResult
 from rlbench.sanitize import Repairs
 from rlbench.wrappers import TileMemory
@@ -64,22 +64,20 @@ def refusal_row(template: Row, reason: str) -> Row:
 
 
 def compare_frame(
-    compare: Any, result: FrameResult, previous: Any | None, max_samples: int | None = None
+    metric: Any,  # as metrics.metric.Metric
+    result: FrameResult,
+    truth: Any,  # as metrics.ground_truth.GroundTruth
+    previous: Any | None,  # the frame before, as this function returns it
+    max_samples: int | None = None,
 ) -> Any:
-    """A frame as metrics receive it: `compare` is Metric.compare, `previous` the frame before.
+    """A frame as any `metric` receives it.
 
     `max_samples` is the most that one pixel can have, None if that is not known.
     """
-    frame = result.frame
-    buffers, static = frame.gbuffer.buffers, frame.gbuffer.static
-    motion = sanitize_motion(buffers["motion"]) if "motion" in buffers and not static else None
-    return compare(
+    return metric.comparison(
         result.image,
-        frame.reference.half_a,
-        frame.reference.half_b,
+        truth,
         counts=result.samples.counts,
-        motion=motion,
-        static=static,
         max_samples=max_samples,
         previous=previous,
     )
@@ -90,12 +88,14 @@ def score_frames(
     metrics: Sequence[Any],  # as metrics.metric.Metric
     results: Iterable[FrameResult],
     header: Header,
+    truth_of: Callable[[Frame], Any],  # as metrics.ground_truth.GroundTruth
     max_samples: int | None = None,
 ) -> Iterator[tuple[FrameResult, list[Row]]]:
     """The frames of a clip in order, each with its rows. Raises as `score_frame` does."""
     compared = None
     for result in results:
-        compared = compare_frame(metrics[0].compare, result, compared, max_samples)
+        truth = truth_of(result.frame)
+        compared = compare_frame(metrics[0], result, truth, compared, max_samples)
         yield result, list(score_frame(template, metrics, compared, result, header))
 
 
@@ -121,8 +121,7 @@ def score_frame(
         score = math.nan if note else float(metric.score(comparison)[0])
         if math.isnan(score) and not note:
             note = f"the value is nan: {metric.convention}"
-        row = replace(frame, unit=metric.unit, direction=metric.direction)
-        yield _with_value(row, metric.name, score, metric.convention, note)
+        yield _score_row(frame, metric, score, note)
     yield from _event_rows(frame, header)
     yield from _ceiling_rows(frame, header)
     yield from _repair_rows(frame, result.repairs)
@@ -151,8 +150,7 @@ def score_clip(template: Row, generic: Any, comparisons: Sequence[Any], header: 
     notes = (_missing_input(metric, comparison, header) for comparison in comparisons)
     note = next(filter(None, notes), "")
     score = math.nan if note else float(metric.score(list(comparisons)))
-    row = replace(template, frame=WHOLE_CLIP, unit=metric.unit, direction=metric.direction)
-    return _with_value(row, metric.name, score, metric.convention, note)
+    return _score_row(replace(template, frame=WHOLE_CLIP), metric, score, note)
 
 
 def _missing_input(metric: Any, comparison: Any, header: Header) -> str:
@@ -187,11 +185,19 @@ def _repair_rows(frame: Row, repairs: Repairs) -> Iterator[Row]:
         yield _with_value(frame, "repaired", float(sum(repairs.values())), convention)
 
 
-def _with_value(row: Row, metric: str, value: float, convention: str, note: str = "") -> Row:
+def _score_row(row: Row, metric: Any, score: float, note: str) -> Row:
+    """The row with the score of a metric."""
+    kind = {"unit": metric.unit, "direction": metric.direction}
+    return _with_value(row, metric.name, score, metric.convention, note, **kind)
+
+
+def _with_value(
+    row: Row, metric: str, value: float, convention: str, note: str = "", **fields: Any
+) -> Row:
     """The row with a number; a value that is not finite becomes nan with a note."""
     if not math.isfinite(value):
         note, value = note or f"the value is {value}", math.nan
-    return replace(row, metric=metric, value=value, convention=convention, note=note)
+    return replace(row, metric=metric, value=value, convention=convention, note=note, **fields)
 
 
 def _check_image(method: str, result: FrameResult) -> None:

@@ -108,8 +108,12 @@ class StoredClip:
         """Frame `index`, or a window (rows, columns) of it, as float32 on the device."""
         order, rounding_seed = sample_order(self.seed, self.name, index, self.header.pool_spp)
         stored = self.arrays.pool(self.pool, index, order[: self.max_samples])
-        samples = [self._tensor(sample, window) for sample in stored]
-        radiance = torch.stack(samples, dim=1).mul_(self.header.exposure)
+        samples = [torch.from_numpy(sample[:, *window]) for sample in stored]
+        size = (1, len(samples), *samples[0].shape)
+        radiance = torch.empty(size, dtype=torch.float32, device=self.device)
+        for slot, sample in enumerate(samples):
+            radiance[0, slot] = sample  # from half floats, in one pass
+        radiance.mul_(self.header.exposure)
         return self.frame_with_pool(index, StoredPool(radiance, (rounding_seed,)), window)
 
     def frame_with_pool(

@@ -88,7 +88,7 @@ def test_half_floats_change_psnr_by_less_than_a_hundredth_of_a_decibel(target_db
     noise = torch.randn(1, 3, 64, 64, generator=random) * 10 ** (-target_db / 20)
     image = (reference + noise * reference.sqrt()).clamp_min(0)
     stored = torch.from_numpy(KeptFrame.of(frame_result(image)).image).float()[None]
-    plain, halved = (PSNR.score(Comparison(x, reference, reference)) for x in (image, stored))
+    plain, halved = (PSNR.score(Comparison.of(x, reference, reference)) for x in (image, stored))
     assert target_db - 6 < plain < target_db + 10
     # rounding adds at most (2^-11 relative)^2 of sRGB's square, -75 dB of white, independent noise
     assert abs(plain - halved) < 0.01

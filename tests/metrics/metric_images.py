@@ -18,7 +18,7 @@ def image_pair(h, w, noise=0.3, seed=0, n=2):
 
 def frame_of(image, reference):
     """A comparison whose reference has no noise."""
-    return Comparison(image, reference, reference)
+    return Comparison.of(image, reference, reference)
 
 
 def encoded_pair(*size, convention=SRGB, **options):

@@ -10,13 +10,14 @@ import torch
 from torch.utils._python_dispatch import TorchDispatchMode
 
 from metrics import image, ssim
+from metrics.ground_truth import GroundTruth
 from metrics.metric import MAX_PREVIOUS, Comparison, Metric
 from rlbench import registry
 
 
 def comparison(value=0.5, previous=None, **given):
     half = torch.full((1, 3, 4, 5), 0.3)
-    return Comparison(torch.full_like(half, value), half, half + 0.2, previous=previous, **given)
+    return Comparison.of(torch.full_like(half, value), half, half + 0.2, previous=previous, **given)
 
 
 def test_derived_images_are_computed_once():
@@ -31,7 +32,7 @@ def test_a_nonfinite_pixel_is_displayed_as_far_from_the_reference_as_possible(va
     half = torch.tensor([0.9, 0.1, 0.9]).view(1, 3, 1, 1).repeat(1, 1, 2, 2)
     image = half.clone()
     image[0, 1, 0, 0] = value  # one channel invalidates the pixel
-    frame = Comparison(image, half, half)
+    frame = Comparison.of(image, half, half)
     assert frame.display_image[0, :, 0, 0].tolist() == [0, 1, 0]
     assert frame.nonfinite_mask.flatten().tolist() == [True, False, False, False]
 
@@ -84,6 +85,12 @@ class DisplayCurves(TorchDispatchMode):
         return func(*args, **kwargs or {})
 
 
+def score_all(frame, size):
+    for metric in registry.load_run_metrics().values():
+        if not metric.previous_frames:
+            metric.at(*size).score(frame)
+
+
 def test_all_metrics_of_a_frame_share_what_they_derive_from_it(monkeypatch):
     calls = Counter()
 
@@ -100,10 +107,20 @@ def test_all_metrics_of_a_frame_share_what_they_derive_from_it(monkeypatch):
     counted(ssim, "similarity_terms")
     half = torch.rand(1, 3, 176, 176, generator=torch.Generator().manual_seed(0))
     counts = torch.arange(176).expand(1, 1, 176, 176)
-    frame = Comparison(half / 2, half, half + 0.1, counts=counts, static=True, max_samples=8)
+    given = {"counts": counts, "static": True, "max_samples": 8}
+    frame = Comparison.of(half / 2, half, half + 0.1, **given)
     with DisplayCurves() as curves:
-        for metric in registry.load_run_metrics().values():
-            if not metric.previous_frames:
-                metric.at(176, 176).score(frame)
+        score_all(frame, (176, 176))
     assert curves.count == 4  # image, reference, and its two halves
     assert calls == {"bound_radiance": 4, "similarity_terms": 5}  # the five scales of MS-SSIM
+
+
+def test_images_with_one_ground_truth_share_what_depends_on_the_reference_alone():
+    half = torch.rand(1, 3, 32, 32, generator=torch.Generator().manual_seed(0))
+    counts = torch.arange(32).expand(1, 1, 32, 32)
+    truth = GroundTruth(half, half + 0.1, static=True)
+    with DisplayCurves() as curves:
+        for brightness in (0.5, 0.7, 0.9):
+            frame = Comparison(half * brightness, truth, counts=counts, max_samples=8)
+            score_all(frame, (32, 32))
+    assert curves.count == 3 + 3  # the reference and its halves, and the three images

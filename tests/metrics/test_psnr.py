@@ -93,7 +93,7 @@ def scores_of_two_images(seed=0):
     scores = []
     for error in (0.1, 0.2):
         image = truth * (error * torch.randn(SIZE, generator=g)).exp()
-        frame = Comparison(image, a, b)
+        frame = Comparison.of(image, a, b)
         scores.append(
             [
                 float(score(PSNR, image, truth)),
@@ -128,4 +128,4 @@ def test_the_bias_of_an_encoded_half_is_its_variance_times_the_bend_of_the_curve
 def test_an_error_below_the_noise_of_the_halves_scores_the_cap():
     render = monte_carlo_scene()
     a, b = render(HALF_SPP), render(HALF_SPP)
-    assert PSNR_DEBIASED.score(Comparison((a + b) / 2, a, b)).tolist() == [CAP_DB]
+    assert PSNR_DEBIASED.score(Comparison.of((a + b) / 2, a, b)).tolist() == [CAP_DB]

@@ -13,7 +13,15 @@ from metrics.catalog_video import FLICKER, PSNR_LATE, WARPED_ERROR
 from metrics.display import encode_display
 from metrics.metric import Comparison
 from metrics.psnr import CAP_DB
-from metrics.temporal import MIN_WEIGHT, change_of_error, flicker, tpsnr, warp, warped_error
+from metrics.temporal import (
+    MIN_WEIGHT,
+    change_of_error,
+    flicker,
+    locate_source,
+    tpsnr,
+    warp,
+    warped_error,
+)
 from rlbench.ops.reprojection import reproject
 
 SIZE = (1, 3, 9, 12)
@@ -55,6 +63,10 @@ def changes_by_loops(error, previous, motion):
     return found
 
 
+def change_along(error, previous, motion):
+    return change_of_error(error, previous, locate_source(error, motion))
+
+
 def percent(changes):
     return 100 * torch.stack(list(changes)).double().square().mean().sqrt().item()
 
@@ -84,7 +96,7 @@ def test_warp_equals_the_reprojection_that_methods_use():
 
 def test_warped_error_equals_a_loop_over_pixels():
     error, previous, motion = random_error(0), random_error(1), random_motion(2)
-    score = warped_error(change_of_error(error, previous, motion)).item()
+    score = warped_error(change_along(error, previous, motion)).item()
     by_loops = changes_by_loops(error, previous, motion)
     assert 20 < len(by_loops) < 9 * 12  # some pixels leave the image
     assert score == pytest.approx(percent(by_loops.values()), rel=1e-4)  # float32 positions
@@ -92,7 +104,7 @@ def test_warped_error_equals_a_loop_over_pixels():
 
 def test_flicker_equals_a_loop_over_pixels():
     errors, motions = [random_error(i) for i in range(3)], [random_motion(5), random_motion(6)]
-    steps = [change_of_error(errors[i + 1], errors[i], motions[i]) for i in (0, 1)]
+    steps = [change_along(errors[i + 1], errors[i], motions[i]) for i in (0, 1)]
     score = flicker(steps[1], steps[0]).item()
     assert score == pytest.approx(flicker_by_loops(errors, motions), rel=1e-3)  # twice warped
 
@@ -102,10 +114,10 @@ def test_an_image_that_moves_as_the_motion_says_has_no_warped_error(shift):
     texture = torch.rand(SIZE, generator=torch.Generator().manual_seed(0))
     motion = torch.tensor(shift).float().view(1, 2, 1, 1).expand(1, 2, *SIZE[2:])
     reference = torch.full(SIZE, 0.5)
-    frame = Comparison(texture, reference, reference)
+    frame = Comparison.of(texture, reference, reference)
     for _ in range(2):
         moved = frame.image.roll((-shift[1], -shift[0]), (2, 3))
-        frame = Comparison(moved, reference, reference, motion=motion, previous=frame)
+        frame = Comparison.of(moved, reference, reference, motion=motion, previous=frame)
     assert WARPED_ERROR.score(frame).item() == pytest.approx(0, abs=1e-3)  # float32 positions
     assert FLICKER.score(frame).item() == pytest.approx(0, abs=1e-3)
     assert TPSNR.score(frame).item() < 20  # which does not follow the motion
@@ -115,13 +127,13 @@ def test_what_the_reference_does_too_is_no_error():
     frame, generator = None, torch.Generator().manual_seed(1)
     for _ in range(3):
         image = torch.rand(SIZE, generator=generator)
-        frame = Comparison(image, image, image, motion=random_motion(3), previous=frame)
+        frame = Comparison.of(image, image, image, motion=random_motion(3), previous=frame)
     assert WARPED_ERROR.score(frame).item() == FLICKER.score(frame).item() == 0
 
 
 def test_a_constant_error_and_an_even_drift_do_not_flicker():
     errors = [0.1 + random_error(0) + 0.05 * t for t in range(3)]
-    steps = [change_of_error(b, a, None) for a, b in zip(errors, errors[1:], strict=False)]
+    steps = [change_along(b, a, None) for a, b in zip(errors, errors[1:], strict=False)]
     assert flicker(steps[1], steps[0]).item() == pytest.approx(0, abs=1e-4)
     assert warped_error(steps[1]).item() == pytest.approx(5, abs=1e-4)
 
@@ -129,7 +141,7 @@ def test_a_constant_error_and_an_even_drift_do_not_flicker():
 @pytest.mark.parametrize("sigma", [0.01, 0.1])
 def test_independent_errors_flicker_by_their_standard_deviation(sigma):
     errors = [random_error(i, (1, 3, 96, 96), sigma) for i in range(3)]
-    steps = [change_of_error(b, a, None) for a, b in zip(errors, errors[1:], strict=False)]
+    steps = [change_along(b, a, None) for a, b in zip(errors, errors[1:], strict=False)]
     # 27648 numbers: the standard deviation of a standard deviation is 0.4 %
     assert flicker(steps[1], steps[0]).item() == pytest.approx(100 * sigma, rel=0.02)
     assert warped_error(steps[1]).item() == pytest.approx(100 * math.sqrt(2) * sigma, rel=0.02)
@@ -137,8 +149,8 @@ def test_independent_errors_flicker_by_their_standard_deviation(sigma):
 
 def test_a_frame_whose_motion_leaves_the_image_everywhere_has_no_score():
     outside = torch.full((1, 2, *SIZE[2:]), 100.0)
-    cut = change_of_error(random_error(1), random_error(0), outside)
-    after = change_of_error(random_error(2), random_error(1), None)
+    cut = change_along(random_error(1), random_error(0), outside)
+    after = change_along(random_error(2), random_error(1), None)
     assert warped_error(cut).isnan()
     assert flicker(cut, after).isnan()
     assert flicker(after, cut).isnan()
@@ -148,9 +160,7 @@ def test_a_frame_whose_motion_leaves_the_image_everywhere_has_no_score():
 def test_a_cut_has_no_score_for_a_broken_image_either():
     """Otherwise methods would be averaged over different frames."""
     outside = torch.full((1, 2, *SIZE[2:]), 100.0)
-    assert warped_error(
-        change_of_error(random_error(1) * math.nan, random_error(0), outside)
-    ).isnan()
+    assert warped_error(change_along(random_error(1) * math.nan, random_error(0), outside)).isnan()
 
 
 def test_a_nonfinite_pixel_changes_by_the_most_that_a_display_can_show():
@@ -159,9 +169,9 @@ def test_a_nonfinite_pixel_changes_by_the_most_that_a_display_can_show():
     broken[0, :, 4, 5] = math.nan
     pixels = SIZE[2] * SIZE[3]
     for now, before in ((broken, error), (error, broken), (broken, broken)):
-        step = change_of_error(now, before, None)
+        step = change_along(now, before, None)
         assert warped_error(step).item() == pytest.approx(100 * math.sqrt(4 / pixels))
-        steady = change_of_error(before, before, None)
+        steady = change_along(before, before, None)
         assert flicker(step, steady).item() == pytest.approx(100 * math.sqrt(16 / 6 / pixels))
 
 
@@ -171,7 +181,7 @@ def test_a_nonfinite_pixel_counts_where_its_motion_leaves_the_image():
     broken = torch.zeros(SIZE)
     broken[0, :, 3, 0] = math.nan
     inside = SIZE[2] * (SIZE[3] - 1)
-    score = warped_error(change_of_error(broken, torch.zeros(SIZE), motion)).item()
+    score = warped_error(change_along(broken, torch.zeros(SIZE), motion)).item()
     assert score == pytest.approx(100 * math.sqrt(4 / (inside + 1)))
 
 
@@ -179,7 +189,7 @@ def test_a_nonfinite_pixel_does_not_spread_to_neighbours_that_do_not_read_it():
     motion = torch.full((1, 2, *SIZE[2:]), 1.0)
     previous = torch.zeros(SIZE)
     previous[0, :, 4, 5] = math.nan
-    change = change_of_error(torch.zeros(SIZE), previous, motion).change
+    change = change_along(torch.zeros(SIZE), previous, motion).change
     assert change.isnan().any(1).nonzero().tolist() == [[0, 3, 4]]
 
 
@@ -188,8 +198,8 @@ def test_tpsnr_equals_the_psnr_of_changes_by_scikit_image():
         1.5 * torch.rand(2, 2, 3, 20, 24, generator=torch.Generator().manual_seed(i))
         for i in (0, 1)
     )
-    before = Comparison(images[0], truths[0], truths[0])
-    scores = TPSNR.score(Comparison(images[1], truths[1], truths[1], previous=before))
+    before = Comparison.of(images[0], truths[0], truths[0])
+    scores = TPSNR.score(Comparison.of(images[1], truths[1], truths[1], previous=before))
     for n, score in enumerate(scores.tolist()):
         changes = [
             (encode_display(x[1, n].double()) - encode_display(x[0, n].double())).numpy()
@@ -208,15 +218,15 @@ def test_an_error_constant_over_time_does_not_lower_tpsnr():
 def test_a_nonfinite_pixel_has_the_largest_temporal_error(frame):
     images, grey = torch.full((2, 1, 3, 4, 5), 0.5), torch.full((1, 3, 4, 5), 0.5)
     images[frame, 0, 1, 2, 3] = torch.nan
-    before = Comparison(images[0], grey, grey)
-    score = TPSNR.score(Comparison(images[1], grey, grey, previous=before)).item()
+    before = Comparison.of(images[0], grey, grey)
+    score = TPSNR.score(Comparison.of(images[1], grey, grey, previous=before)).item()
     assert score == pytest.approx(-10 * math.log10(4 / 20), abs=1e-4)
 
 
 def test_a_late_frame_is_scored_as_the_image_of_the_frame_before():
     random = torch.Generator().manual_seed(3)
     images, references = torch.rand(2, 2, 1, 3, 9, 11, generator=random)
-    frames = [Comparison(x, r, r) for x, r in zip(images, references, strict=True)]
-    late = Comparison(images[1], references[1], references[1], previous=frames[0])
-    as_shown = Comparison(images[0], references[1], references[1])
+    frames = [Comparison.of(x, r, r) for x, r in zip(images, references, strict=True)]
+    late = Comparison.of(images[1], references[1], references[1], previous=frames[0])
+    as_shown = Comparison.of(images[0], references[1], references[1])
     assert PSNR_LATE.score(late).tolist() == PSNR.score(as_shown).tolist()

@@ -34,8 +34,8 @@ def test_metric_of_a_run(benchmark, name):
     given = {"counts": torch.ones(1, 1, 1080, 1920), "static": True}
 
     def score() -> torch.Tensor:
-        before = Comparison(reference, image, reference, **given)
-        return metric.score(Comparison(image, reference, image, previous=before, **given))
+        before = Comparison.of(reference, image, reference, **given)
+        return metric.score(Comparison.of(image, reference, image, previous=before, **given))
 
     with torch.inference_mode():
         benchmark.pedantic(score, rounds=3, warmup_rounds=1)

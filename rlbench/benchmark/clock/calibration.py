@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import os
 import statistics
+import time
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import NamedTuple
@@ -25,6 +26,7 @@ __all__ = [
 SLOWDOWN = 1.25  # times a quiet calibration; beyond it the machine is busy
 MIN_PROCESSOR_SHARE = 0.8  # of the processor time that its threads ask for, on a quiet machine
 REPEATS = 9  # runs of the kernel in one calibration
+SETTLE_SECONDS = 0.01  # idle threads of Open Image Denoise's TBB look for work for 1 to 5 ms
 SIDE = {"cpu": 256}  # of the kernel's matrices: about a millisecond
 ACCELERATOR_SIDE = 2048
 
@@ -46,7 +48,8 @@ class Calibrator:
     """Runs the kernel between the clocks.
 
     A constant load slows every calibration. It is found by the time that the kernel's
-    threads wait for a processor, as the system's scheduler counts it.
+    threads wait for a processor, as the system's scheduler counts it. Threads of the row before
+    that still look for work would count as such a load, so a reading first lets them fall asleep.
     """
 
     clock: Clock
@@ -54,6 +57,7 @@ class Calibrator:
 
     def measure(self) -> Calibration:
         """One reading, the median of a few runs."""
+        time.sleep(SETTLE_SECONDS)
         ran, waited = self.clock.processor_ms(), self.clock.waiting_ms()
         times = [self.clock.wall_ms()]
         for _ in range(REPEATS):

@@ -11,7 +11,7 @@ def test_psnr_equals_the_metric(scale):
     generator = torch.Generator().manual_seed(1)
     image, reference = scale * torch.randn(2, 3, 3, 9, 11, generator=generator)
     image[1, 0, 2, 3], image[2, 1, 4, 5] = torch.nan, torch.inf
-    expected = PSNR.score(Comparison(image, reference, reference))
+    expected = PSNR.score(Comparison.of(image, reference, reference))
     assert torch.equal(psnr(image, reference), expected)
 
 

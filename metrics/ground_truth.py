@@ -1,0 +1,106 @@
+"""The reference of a frame, and what metrics derive from it alone."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from functools import cached_property
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from metrics.conventions import Convention
+
+__all__ = ["GroundTruth"]
+
+Tensor = Any  # torch.Tensor; the first score imports torch, so that listing metrics is fast
+
+
+@dataclass(frozen=True, eq=False)
+class GroundTruth:
+    """What images of one frame are compared with; each derived image is computed once.
+
+    The two independent halves of the reference are [n 3 h w] in linear radiance, where 1.0 is
+    display white, and must be finite. The same object serves all images of the frame, those of
+    other methods and budgets too, so that only the first pays for what it derives.
+
+    >>> import torch
+    >>> truth = GroundTruth(torch.zeros(1, 3, 8, 8), torch.ones(1, 3, 8, 8))
+    >>> truth.mean.mean(), truth.encode().mean()
+    (tensor(0.5000), tensor(0.7354))
+    >>> truth.encode() is truth.encode()
+    True
+    """
+
+    half_a: Tensor
+    half_b: Tensor
+    motion: Tensor | None = None  # [n 2 h w] pixels to the previous frame; None if static, unknown
+    static: bool = False  # nothing moves from the previous frame to this one
+
+    _encoded: dict[str, Tensor] = field(default_factory=dict, init=False, repr=False)
+    _windows: dict[str, list[Any]] = field(default_factory=dict, init=False, repr=False)
+
+    @cached_property
+    def mean(self) -> Tensor:
+        """The reference image: the mean of both halves, [n 3 h w] in linear radiance."""
+        return (self.half_a + self.half_b) / 2
+
+    def encode(self, convention: Convention | None = None) -> Tensor:
+        """The mean under a convention of `metrics.conventions`, by default clipped sRGB."""
+        from metrics.conventions import SRGB
+
+        convention = convention or SRGB
+        if convention.name not in self._encoded:
+            self._encoded[convention.name] = convention.encode(self.mean)
+        return self._encoded[convention.name]
+
+    def windows(self, convention: Convention | None = None) -> list[Any]:
+        """What SSIM and MS-SSIM read of the mean under a convention: `metrics.ssim`'s windows.
+
+        One for each scale that the size allows, from fine to coarse.
+        """
+        from metrics.conventions import SRGB
+        from metrics.ssim import max_scales, reference_windows
+
+        name = (convention or SRGB).name
+        if name not in self._windows:
+            encoded = self.encode(convention)
+            scales = max_scales(*encoded.shape[-2:])
+            self._windows[name] = reference_windows(encoded, scales)
+        return self._windows[name]
+
+    @cached_property
+    def display_halves(self) -> tuple[Tensor, Tensor]:
+        """The two halves in clipped sRGB, each [n 3 h w] in [0, 1]."""
+        from metrics.display import encode_display
+
+        return encode_display(self.half_a), encode_display(self.half_b)
+
+    @cached_property
+    def linear(self) -> Tensor:
+        """The mean in linear radiance, [n 3 h w] as `bound_radiance` returns it."""
+        from metrics.image import bound_radiance
+
+        return bound_radiance(self.mean)
+
+    @cached_property
+    def linear_halves(self) -> tuple[Tensor, Tensor]:
+        """The two halves in linear radiance, each [n 3 h w] as `bound_radiance` returns it."""
+        from metrics.image import bound_radiance
+
+        return bound_radiance(self.half_a), bound_radiance(self.half_b)
+
+    @cached_property
+    def noise_ranks(self) -> Tensor:
+        """Ranks of the pixels by the noise of the scene, [n pixels] (`metrics.effort`)."""
+        from metrics.effort import centre_ranks, scene_noise
+
+        return centre_ranks(scene_noise(*self.display_halves))
+
+    @cached_property
+    def source(self) -> Any:
+        """Where the pixels were in the frame before, a `metrics.temporal.Source`.
+
+        Motion must be known.
+        """
+        from metrics.temporal import locate_source
+
+        return locate_source(self.half_a, self.motion)
