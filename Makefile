@@ -54,7 +54,7 @@ SPP := 1000
 SEEDS := 0 1 2 3 4
 TRAINED := $(foreach name,latent latent-A1 latent-A2,ours/$(name):ours-$(name)/$(name))
 
-.PHONY: demo docs baseline table1 variance conventions viewer unseen speed metric-speed overhead equal takes recovery crossval appendix seeds gradients stress training contact teaser switched videos site test test-all format clean
+.PHONY: demo docs baseline table1 variance conventions viewer unseen speed metric-speed overhead overhead-all equal takes recovery crossval appendix seeds gradients stress training contact teaser switched videos site test test-all format clean
 
 demo: .venv/run.stamp
 	$(BIN)/rlbench run --preset mini --keep-images --out $(RESULTS)
@@ -113,6 +113,11 @@ overhead: .venv/dev.stamp
 	$(BIN)/rlbench run --preset mini --scores-only --out $(RESULTS)/overhead
 	rm -rf $(RESULTS)/overhead
 	$(BIN)/python -m tests.performance.profile_run docs/results/overhead.md --preset mini --out $(RESULTS)/overhead
+
+# the same for all rows: a quarter of an hour
+overhead-all: .venv/dev.stamp
+	rm -rf $(RESULTS)/overhead
+	$(BIN)/python -m tests.performance.profile_run docs/results/overhead-all.md -m 'all/*' --preset mini --spp 0.5,1,2,4 --out $(RESULTS)/overhead
 
 # three learners and uniform sampling, all trained from 1 spp on, because ours/latent-A1 cannot be trained below: an hour of one core, 9 minutes of scoring
 equal: .venv/dev.stamp
