@@ -114,7 +114,7 @@ overhead: .venv/dev.stamp
 	rm -rf $(RESULTS)/overhead
 	$(BIN)/python -m tests.performance.profile_run docs/results/overhead.md --preset mini --out $(RESULTS)/overhead
 
-# the same for all rows: a quarter of an hour
+# the same for all rows: a quarter of an hour, after make docs has decoded the clips
 overhead-all: .venv/dev.stamp
 	rm -rf $(RESULTS)/overhead
 	$(BIN)/python -m tests.performance.profile_run docs/results/overhead-all.md -m 'all/*' --preset mini --spp 0.5,1,2,4 --out $(RESULTS)/overhead

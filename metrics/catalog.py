@@ -47,7 +47,7 @@ def _psnr(frame: Comparison, convention: Convention | None = None) -> Tensor:
 def _psnr_debiased(frame: Comparison) -> Tensor:
     from metrics.psnr import psnr_debiased
 
-    return psnr_debiased(frame.display_image, *frame.display_halves, frame.nonfinite_mask)
+    return psnr_debiased(frame.display_image, *frame.truth.display_halves, frame.nonfinite_mask)
 
 
 def _tpsnr(frame: Comparison) -> Tensor:
@@ -82,7 +82,7 @@ def _smape(frame: Comparison) -> Tensor:
 def _mse_debiased(frame: Comparison) -> Tensor:
     from metrics.image import mse_debiased
 
-    return mse_debiased(frame.linear.image, *frame.truth.linear_halves)
+    return mse_debiased(frame.linear.image, *frame.truth.bounded_halves)
 
 
 def _bias(frame: Comparison) -> Tensor:
@@ -100,8 +100,8 @@ def _nonfinite(frame: Comparison) -> Tensor:
 def _ms_ssim(frame: Comparison, scales: int, convention: Convention | None = None) -> Tensor:
     from metrics.ssim import combine_scales
 
-    image, windows = frame.encode(convention).image, frame.truth.windows(convention)
-    return combine_scales(image, windows[:scales], frame.similarity(convention))
+    image, windows = frame.encode(convention).image, frame.truth.windows(convention, scales)
+    return combine_scales(image, windows, frame.similarity(convention))
 
 
 def _undefined(frame: Comparison, convention: Convention | None = None) -> Tensor:

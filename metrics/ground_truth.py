@@ -19,8 +19,8 @@ class GroundTruth:
     """What images of one frame are compared with; each derived image is computed once.
 
     The two independent halves of the reference are [n 3 h w] in linear radiance, where 1.0 is
-    display white, and must be finite. The same object serves all images of the frame, those of
-    other methods and budgets too, so that only the first pays for what it derives.
+    display white, and must be finite. The images of all methods and budgets are compared with one
+    object, so its tensors must not be written to.
 
     >>> import torch
     >>> truth = GroundTruth(torch.zeros(1, 3, 8, 8), torch.ones(1, 3, 8, 8))
@@ -52,20 +52,19 @@ class GroundTruth:
             self._encoded[convention.name] = convention.encode(self.mean)
         return self._encoded[convention.name]
 
-    def windows(self, convention: Convention | None = None) -> list[Any]:
-        """What SSIM and MS-SSIM read of the mean under a convention: `metrics.ssim`'s windows.
+    def windows(self, convention: Convention | None = None, scales: int = 1) -> list[Any]:
+        """What SSIM and MS-SSIM read of the mean, a `metrics.ssim.ReferenceWindows` for each scale.
 
-        One for each scale that the size allows, from fine to coarse.
+        Raises ValueError if a side is too small for `scales`.
         """
         from metrics.conventions import SRGB
-        from metrics.ssim import max_scales, reference_windows
+        from metrics.ssim import check_scales, max_scales, reference_windows
 
-        name = (convention or SRGB).name
+        encoded, name = self.encode(convention), (convention or SRGB).name
+        check_scales(encoded, scales)
         if name not in self._windows:
-            encoded = self.encode(convention)
-            scales = max_scales(*encoded.shape[-2:])
-            self._windows[name] = reference_windows(encoded, scales)
-        return self._windows[name]
+            self._windows[name] = reference_windows(encoded, max_scales(*encoded.shape[-2:]))
+        return self._windows[name][:scales]
 
     @cached_property
     def display_halves(self) -> tuple[Tensor, Tensor]:
@@ -75,15 +74,15 @@ class GroundTruth:
         return encode_display(self.half_a), encode_display(self.half_b)
 
     @cached_property
-    def linear(self) -> Tensor:
-        """The mean in linear radiance, [n 3 h w] as `bound_radiance` returns it."""
+    def bounded_mean(self) -> Tensor:
+        """The mean in the range of half floats, [n 3 h w] as `bound_radiance` returns it."""
         from metrics.image import bound_radiance
 
         return bound_radiance(self.mean)
 
     @cached_property
-    def linear_halves(self) -> tuple[Tensor, Tensor]:
-        """The two halves in linear radiance, each [n 3 h w] as `bound_radiance` returns it."""
+    def bounded_halves(self) -> tuple[Tensor, Tensor]:
+        """The two halves in the range of half floats, each [n 3 h w]."""
         from metrics.image import bound_radiance
 
         return bound_radiance(self.half_a), bound_radiance(self.half_b)
@@ -96,11 +95,11 @@ class GroundTruth:
         return centre_ranks(scene_noise(*self.display_halves))
 
     @cached_property
-    def source(self) -> Any:
-        """Where the pixels were in the frame before, a `metrics.temporal.Source`.
+    def previous_positions(self) -> Any:
+        """Where the pixels were in the frame before, `metrics.temporal.PreviousPositions`.
 
         Motion must be known.
         """
-        from metrics.temporal import locate_source
+        from metrics.temporal import locate_previous
 
-        return locate_source(self.half_a, self.motion)
+        return locate_previous(self.half_a, self.motion)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import copy
 import math
 from collections.abc import Callable
-from dataclasses import dataclass, field, replace
+from dataclasses import KW_ONLY, dataclass, field, replace
 from functools import cached_property, partial
 from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple
 
@@ -31,10 +31,9 @@ class EncodedPair(NamedTuple):
 class Comparison:
     """An image beside its reference, and what metrics derive from both, each computed once.
 
-    `image` is [n 3 h w] in linear radiance, where 1.0 is display white. What depends on the
-    reference alone is kept in `truth`, and shared by all images that are compared with it.
-    `previous` is the frame before, with what it computed; of a chain of frames MAX_PREVIOUS are
-    kept before this one, and older ones forgotten.
+    `image` is [n 3 h w] in linear radiance, where 1.0 is display white; `truth` holds what depends
+    on the reference alone. `previous` is the frame before, with what it computed; of a chain of
+    frames MAX_PREVIOUS are kept before this one, and older ones forgotten.
 
     >>> import torch
     >>> black, white = torch.zeros(1, 3, 8, 8), torch.ones(1, 3, 8, 8)
@@ -49,6 +48,7 @@ class Comparison:
 
     image: Tensor
     truth: GroundTruth
+    _: KW_ONLY
     counts: Tensor | None = None  # [n 1 h w] samples drawn; None where they are not known
     max_samples: int | None = None  # most samples that one pixel can have; None: not known
     previous: Comparison | None = field(default=None, repr=False)
@@ -65,13 +65,21 @@ class Comparison:
         *,
         motion: Tensor | None = None,
         static: bool = False,
-        **given: Any,
+        counts: Tensor | None = None,
+        max_samples: int | None = None,
+        previous: Comparison | None = None,
     ) -> Comparison:
-        """An image beside a reference that it shares with no other; `given` are other fields."""
-        return cls(image, GroundTruth(half_a, half_b, motion, static), **given)
+        """An image beside a reference that it shares with no other image."""
+        truth = GroundTruth(half_a, half_b, motion, static)
+        return cls(image, truth, counts=counts, max_samples=max_samples, previous=previous)
 
     def __post_init__(self) -> None:
-        """Forget frames that are too old."""
+        """Forget frames that are too old. Raises TypeError for a reference in place of `truth`."""
+        if not isinstance(self.truth, GroundTruth):
+            raise TypeError(
+                f"a Comparison takes an image and a GroundTruth, got {type(self.truth).__name__}; "
+                "of an image and two halves, Comparison.of(image, half_a, half_b) makes one"
+            )
         if self.previous is not None:
             object.__setattr__(self, "previous", self.previous._keep_before(MAX_PREVIOUS - 1))
 
@@ -150,12 +158,7 @@ class Comparison:
         from metrics.image import bound_radiance
 
         mask = self.nonfinite_mask if self.has_nonfinite else None
-        return EncodedPair(bound_radiance(self.image, mask), self.truth.linear)
-
-    @property
-    def display_halves(self) -> tuple[Tensor, Tensor]:
-        """The two halves of the reference in clipped sRGB, each [n 3 h w] in [0, 1]."""
-        return self.truth.display_halves
+        return EncodedPair(bound_radiance(self.image, mask), self.truth.bounded_mean)
 
     @cached_property
     def count_ranks(self) -> Tensor:
@@ -191,7 +194,9 @@ class Comparison:
         from metrics.temporal import change_of_error
 
         previous: Any = self.previous
-        return change_of_error(self.display_error, previous.display_error, self.truth.source)
+        return change_of_error(
+            self.display_error, previous.display_error, self.truth.previous_positions
+        )
 
     def has(self, name: str) -> bool:
         """True if `counts`, `max_samples` or `motion` is known; a static frame's motion is 0."""
@@ -251,8 +256,8 @@ class Metric:
     source: str = ""  # author and year of the definition
 
     compare: ClassVar[Callable[..., Comparison]] = Comparison.of  # one image with one reference
-    comparison: ClassVar[type[Comparison]] = Comparison  # what the benchmark hands to `score`
-    truth: ClassVar[type[GroundTruth]] = GroundTruth  # what it compares images with
+    comparison_type: ClassVar[type[Comparison]] = Comparison  # that the benchmark makes for `score`
+    ground_truth_type: ClassVar[type[GroundTruth]] = GroundTruth
 
     def __post_init__(self) -> None:
         """Raise ValueError for a metric that is never handed the frames that it needs."""

@@ -23,6 +23,7 @@ __all__ = [
     "SCALE_WEIGHTS",
     "ReferenceWindows",
     "SimilarityTerms",
+    "check_scales",
     "combine_scales",
     "max_scales",
     "ms_ssim",
@@ -141,7 +142,7 @@ def reference_windows(
     >>> [each.image.shape[-1] for each in reference_windows(torch.rand(1, 3, 64, 96), scales=3)]
     [96, 48, 24]
     """
-    _check_scales(reference, scales)
+    check_scales(reference, scales)
     windows: list[ReferenceWindows] = []
     for _ in range(scales):
         image = _halve(windows[-1].image) if windows else reference
@@ -211,7 +212,11 @@ def _halve(image: Tensor) -> Tensor:
     return (rows[..., ::2] + rows[..., 1::2]) / 4
 
 
-def _check_scales(image: Tensor, scales: int) -> None:
+def check_scales(image: Float[Tensor, "n 3 h w"], scales: int) -> None:
+    """Raise ValueError if a side of the image is too small for `scales`.
+
+    >>> check_scales(torch.zeros(1, 3, 11, 11), scales=1)
+    """
     h, w = image.shape[-2:]
     if scales > max_scales(h, w):
         raise ValueError(

@@ -19,10 +19,10 @@ from metrics.psnr import decibels
 
 __all__ = [
     "ErrorChange",
-    "Source",
+    "PreviousPositions",
     "change_of_error",
     "flicker",
-    "locate_source",
+    "locate_previous",
     "tpsnr",
     "warp",
     "warped_error",
@@ -34,7 +34,7 @@ FLICKER_GAIN = math.sqrt(6)  # of the taps 1, -2, 1 on white noise
 MIN_WEIGHT = 1e-3  # of a bilinear tap that counts as read; smaller ones are rounding
 
 
-class Source(NamedTuple):
+class PreviousPositions(NamedTuple):
     """Where the pixels of a frame were in the previous one."""
 
     grid: Float[Tensor, "n h w 2"] | None  # as F.grid_sample takes it; None: nothing moves
@@ -45,7 +45,7 @@ class ErrorChange(NamedTuple):
     """Change of the display error of a surface since the previous frame."""
 
     change: Float[Tensor, "n 3 h w"]  # in [-2, 2]; NaN where either frame is not finite
-    source: Source
+    positions: PreviousPositions
 
 
 def tpsnr(
@@ -74,7 +74,7 @@ def tpsnr(
 def change_of_error(
     error: Float[Tensor, "n 3 h w"],
     previous_error: Float[Tensor, "n 3 h w"],
-    source: Source,
+    positions: PreviousPositions,
 ) -> ErrorChange:
     """The display error less that of the previous frame, moved along the motion (see `warp`).
 
@@ -84,12 +84,12 @@ def change_of_error(
     >>> error = torch.zeros(1, 3, 1, 4)
     >>> error[..., 1] = 0.5
     >>> moved_left = torch.ones(1, 1, 1, 4) * torch.tensor([1.0, 0.0]).view(1, 2, 1, 1)
-    >>> source = locate_source(error, moved_left)
-    >>> change_of_error(error.roll(-1, 3), error, source).change.abs().max()
+    >>> positions = locate_previous(error, moved_left)
+    >>> change_of_error(error.roll(-1, 3), error, positions).change.abs().max()
     tensor(0.)
     """
-    moved = _read_keeping_nan(previous_error, source)
-    return ErrorChange(torch.where(source.is_inside, error - moved, 0.0 * error), source)
+    moved = _read_keeping_nan(previous_error, positions)
+    return ErrorChange(torch.where(positions.is_inside, error - moved, 0.0 * error), positions)
 
 
 def warped_error(step: ErrorChange) -> Float[Tensor, " n"]:
@@ -107,10 +107,10 @@ def warped_error(step: ErrorChange) -> Float[Tensor, " n"]:
     the reference counts twice, and bilinear taps lower that of the previous frame.
 
     >>> error = torch.zeros(1, 3, 8, 8)
-    >>> warped_error(change_of_error(error + 0.1, error, locate_source(error, motion=None)))
+    >>> warped_error(change_of_error(error + 0.1, error, locate_previous(error, motion=None)))
     tensor([10.])
     """
-    return 100 * _root_mean_square(step.change, step.source.is_inside, WORST_CHANGE)
+    return 100 * _root_mean_square(step.change, step.positions.is_inside, WORST_CHANGE)
 
 
 def flicker(step: ErrorChange, previous_step: ErrorChange) -> Float[Tensor, " n"]:
@@ -128,15 +128,15 @@ def flicker(step: ErrorChange, previous_step: ErrorChange) -> Float[Tensor, " n"
     three frames has the largest value, 4 / sqrt(6).
 
     >>> error = [torch.full((1, 3, 8, 8), value) for value in (0.1, 0.2, 0.3, 0.0)]
-    >>> static = locate_source(error[0], motion=None)
+    >>> static = locate_previous(error[0], motion=None)
     >>> steps = [change_of_error(b, a, static) for a, b in zip(error, error[1:])]
     >>> drift, reversal = flicker(steps[1], steps[0]), flicker(steps[2], steps[1])
     >>> drift.round(decimals=4), reversal.round(decimals=4)  # |0.2 - 2 * 0.3 + 0.0| / sqrt(6)
     (tensor([0.]), tensor([16.3299]))
     """
-    moved = _read_keeping_nan(previous_step.change, step.source)
-    was_outside = _read((~previous_step.source.is_inside).to(moved.dtype), step.source)
-    is_inside = step.source.is_inside & (was_outside <= MIN_WEIGHT)
+    moved = _read_keeping_nan(previous_step.change, step.positions)
+    was_outside = _read((~previous_step.positions.is_inside).to(moved.dtype), step.positions)
+    is_inside = step.positions.is_inside & (was_outside <= MIN_WEIGHT)
     second = torch.where(is_inside, step.change - moved, 0.0 * step.change)
     return 100 / FLICKER_GAIN * _root_mean_square(second, is_inside, WORST_SECOND_CHANGE)
 
@@ -156,45 +156,45 @@ def warp(
     >>> moved.flatten().tolist(), is_inside.flatten().tolist()
     ([1.0, 3.0, 4.0], [True, True, False])
     """
-    source = locate_source(values, motion)
-    return _read(values, source), source.is_inside
+    positions = locate_previous(values, motion)
+    return _read(values, positions), positions.is_inside
 
 
-def locate_source(
+def locate_previous(
     like: Float[Tensor, "n c h w"], motion: Float[Tensor, "n 2 h w"] | None
-) -> Source:
+) -> PreviousPositions:
     """Where the pixels of an image were in the previous frame; `like` gives its size.
 
     >>> left = torch.tensor([-1.0, 0.0]).view(1, 2, 1, 1).expand(1, 2, 1, 3)
-    >>> locate_source(torch.zeros(1, 3, 1, 3), left).is_inside.flatten().tolist()
+    >>> locate_previous(torch.zeros(1, 3, 1, 3), left).is_inside.flatten().tolist()
     [False, True, True]
     """
     h, w = like.shape[-2:]
     if motion is None:
-        return Source(None, like.new_ones(like[:, :1].shape, dtype=torch.bool))
+        return PreviousPositions(None, like.new_ones(like[:, :1].shape, dtype=torch.bool))
     x = torch.arange(w, device=motion.device, dtype=motion.dtype) + motion[:, 0]
     y = torch.arange(h, device=motion.device, dtype=motion.dtype)[:, None] + motion[:, 1]
     is_inside = (x >= 0) & (x <= w - 1) & (y >= 0) & (y <= h - 1)
     grid = torch.stack(((2 * x + 1) / w - 1, (2 * y + 1) / h - 1), -1).nan_to_num(nan=-1.0)
-    return Source(grid, is_inside[:, None])
+    return PreviousPositions(grid, is_inside[:, None])
 
 
-def _read(values: Tensor, source: Source) -> Tensor:
+def _read(values: Tensor, positions: PreviousPositions) -> Tensor:
     """Values of the previous frame, bilinear; beyond the image those of its border."""
-    if source.grid is None:
+    if positions.grid is None:
         return values
     return F.grid_sample(
-        values, source.grid, "bilinear", padding_mode="border", align_corners=False
+        values, positions.grid, "bilinear", padding_mode="border", align_corners=False
     )
 
 
-def _read_keeping_nan(values: Tensor, source: Source) -> Tensor:
+def _read_keeping_nan(values: Tensor, positions: PreviousPositions) -> Tensor:
     """As `_read`; a value that reads a NaN is NaN, one beside a NaN is not."""
     if not _has_nan(values):
-        return _read(values, source)
+        return _read(values, positions)
     is_nan = values.isnan().any(1, keepdim=True)
     both = torch.cat((values.nan_to_num(nan=0.0), is_nan.to(values.dtype)), 1)
-    moved = _read(both, source)
+    moved = _read(both, positions)
     return moved[:, :-1].masked_fill(moved[:, -1:] > MIN_WEIGHT, math.nan)
 
 

@@ -17,11 +17,11 @@ from baselines.accumulate import method as accumulate
 from baselines.mean import Mean
 from baselines.svgf import history as svgf
 from rlbench import registry
-from rlbench.benchmark import ground_truths
+from rlbench.benchmark import ground_truth_cache
 from rlbench.benchmark.clip_sources import StoredSource
 from rlbench.benchmark.run_plan import RunPlan
 from rlbench.benchmark.runner import RunSummary, measure
-from rlbench.clips import decode_cache
+from rlbench.clips import decode_cache, stored
 from rlbench.clips.procedural.clip import procedural_clip
 from rlbench.frames import Size
 from rlbench.run import run_clip
@@ -107,16 +107,11 @@ def test_all_methods_of_a_run_share_each_decoded_image(clip_folder, tmp_path, de
 def test_all_methods_of_a_run_share_what_metrics_derive_from_a_reference(
     clip_folder, tmp_path, monkeypatch
 ):
-    made, make = [], ground_truths.ground_truth
-
-    def make_counted(metric, frame):
-        made.append(frame.index)
-        return make(metric, frame)
-
-    monkeypatch.setattr(ground_truths, "ground_truth", make_counted)
+    read = count_calls(monkeypatch, (stored.StoredClip, "_half_reference"))
+    made = count_calls(monkeypatch, (ground_truth_cache, "make_ground_truth"))
     plan = run_plan(clip_folder, "mean", "eaw", target_spp=(1.0, 2.0), seeds=(0, 1))
     assert measure(plan, tmp_path / "r").measured == 8
-    assert made == [0, 1, 2]
+    assert (len(made), len(read)) == (3, 6)  # frames, and their halves
 
 
 def test_a_run_decodes_no_buffer_that_no_method_or_metric_declares(clip_folder, tmp_path, decoded):

@@ -14,7 +14,7 @@ from rlbench.benchmark.cell_ids import CellIds
 from rlbench.benchmark.cell_images import CellImages, KeptFrame
 from rlbench.benchmark.cell_loader import CellLoader
 from rlbench.benchmark.clip_sources import samples_at_cap
-from rlbench.benchmark.ground_truths import KeptGroundTruths
+from rlbench.benchmark.ground_truth_cache import GroundTruthCache
 from rlbench.benchmark.resolve import ResolvedCell
 from rlbench.benchmark.results import CellKey, Row
 from rlbench.benchmark.run_plan import RunPlan
@@ -55,7 +55,7 @@ class CellRunner:
         self.keep_images = keep_images
         self.scores_only = scores_only
         self.metrics = list(registry.load_run_metrics().values())
-        self.truths = KeptGroundTruths(self.metrics[0])
+        self.truths = GroundTruthCache(self.metrics[0])
         self.loader = CellLoader(plan)
         profile = None if plan.cost == cost.MEASURED else cost.profile(plan.cost)
         self.timings = TimingCache(self.loader, profile)
@@ -112,14 +112,13 @@ class CellRunner:
 
     def _measure(self, cell: ResolvedCell, method: Method) -> CellOutput:
         needs = frozenset().union(*(metric.needs for metric in self.metrics))
-        clip = self.loader.clip(cell, scored_buffers=needs & {"motion"})
+        clip = self.truths.open(self.loader.clip(cell, scored_buffers=needs & {"motion"}))
         template = replace(self.templates[cell.key], config=config_json(method))
         remarks, rows, frames, counts = self._remarks(cell), [], [], []
         max_samples = samples_at_cap(cell.traits, cell.pool_spp)
-        truth_of = self.truths.of_clip(clip)
         results = run_clip(method, clip, cell.target_spp)
         for result, scored in score_frames(
-            template, self.metrics, results, cell.header, truth_of, max_samples
+            template, self.metrics, results, cell.header, clip.ground_truth, max_samples
         ):
             rows += [replace(row, note=row.note or remarks) for row in scored]
             counts.append(result.samples.counts)

@@ -15,7 +15,7 @@ import torch
 
 from rlbench.clips.stored import Header, open_clip, read_header
 from rlbench.family import Traits
-from rlbench.frames import Clip, Frame, Size
+from rlbench.frames import Clip, ClipWrapper, Frame
 from rlbench.render.jobs.live_pool import open_live_clip, scene_of_folder
 from rlbench.render.mitsuba.llvm import select_variant
 from rlbench.system import code_hash, provenance
@@ -125,31 +125,10 @@ class LiveSource(StoredSource):
 
 
 @dataclass(frozen=True)
-class FirstFrames:
-    """A clip of the first frames of another clip."""
+class FirstFrames(ClipWrapper):
+    """A clip of the first frames of another clip, whose digest it has."""
 
-    clip: Clip
     frames: int
-
-    @property
-    def name(self) -> str:
-        """The whole clip's name."""
-        return self.clip.name
-
-    @property
-    def scene(self) -> str:
-        """The scene of the clip."""
-        return self.clip.scene
-
-    @property
-    def size(self) -> Size:
-        """Batch size, height and width."""
-        return self.clip.size
-
-    @property
-    def digest(self) -> str:
-        """The whole clip's digest."""
-        return self.clip.digest
 
     def __len__(self) -> int:
         """Number of frames."""

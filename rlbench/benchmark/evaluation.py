@@ -23,7 +23,7 @@ from rlbench.benchmark.cell_images import KeptImages
 from rlbench.benchmark.cell_key import FAILED, CellId
 from rlbench.benchmark.clip_sources import StoredSource
 from rlbench.benchmark.evaluated_metrics import EvaluatedMetric
-from rlbench.benchmark.ground_truths import ground_truth
+from rlbench.benchmark.ground_truth_cache import make_ground_truth
 from rlbench.benchmark.results import WHOLE_CLIP, Row
 from rlbench.benchmark.scoring import compare_frame, refusal_row, score_clip, score_frame
 from rlbench.clips.header import Header
@@ -234,6 +234,6 @@ def _compare_frames(
         frame = clip.frame_with_pool(index, StoredPool(no_samples, (0,)))
         samples = Samples(no_samples[:, :0], counts.long()[None, None])
         result = FrameResult(frame, samples, image[None], repairs={})
-        truth = ground_truth(metric, frame)
+        truth = make_ground_truth(metric, frame)
         compared = compare_frame(metric, result, truth, compared, kept.images.max_samples)
         yield result, compared

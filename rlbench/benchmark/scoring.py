@@ -74,7 +74,7 @@ def compare_frame(
 
     `max_samples` is the most that one pixel can have, None if that is not known.
     """
-    return metric.comparison(
+    return metric.comparison_type(
         result.image,
         truth,
         counts=result.samples.counts,
@@ -88,13 +88,13 @@ def score_frames(
     metrics: Sequence[Any],  # as metrics.metric.Metric
     results: Iterable[FrameResult],
     header: Header,
-    truth_of: Callable[[Frame], Any],  # as metrics.ground_truth.GroundTruth
+    ground_truth: Callable[[Frame], Any],  # as metrics.ground_truth.GroundTruth
     max_samples: int | None = None,
 ) -> Iterator[tuple[FrameResult, list[Row]]]:
     """The frames of a clip in order, each with its rows. Raises as `score_frame` does."""
     compared = None
     for result in results:
-        truth = truth_of(result.frame)
+        truth = ground_truth(result.frame)
         compared = compare_frame(metrics[0], result, truth, compared, max_samples)
         yield result, list(score_frame(template, metrics, compared, result, header))
 
@@ -110,7 +110,7 @@ def score_frame(
 
     Raises PluginError for an image of another shape or dtype than the reference.
     """
-    _check_image(template.method, result)
+    _check_image(template.method, result.image, comparison.half_a)
     mean_spp = float(result.samples.counts.double().mean())
     frame = replace(template, frame=result.frame.index, mean_spp=mean_spp)
     for generic in metrics:
@@ -187,22 +187,31 @@ def _repair_rows(frame: Row, repairs: Repairs) -> Iterator[Row]:
 
 def _score_row(row: Row, metric: Any, score: float, note: str) -> Row:
     """The row with the score of a metric."""
-    kind = {"unit": metric.unit, "direction": metric.direction}
-    return _with_value(row, metric.name, score, metric.convention, note, **kind)
+    value, note = _check_finite(score, note)
+    return replace(
+        row,
+        metric=metric.name,
+        value=value,
+        unit=metric.unit,
+        direction=metric.direction,
+        convention=metric.convention,
+        note=note,
+    )
 
 
-def _with_value(
-    row: Row, metric: str, value: float, convention: str, note: str = "", **fields: Any
-) -> Row:
-    """The row with a number; a value that is not finite becomes nan with a note."""
-    if not math.isfinite(value):
-        note, value = note or f"the value is {value}", math.nan
-    return replace(row, metric=metric, value=value, convention=convention, note=note, **fields)
+def _with_value(row: Row, metric: str, value: float, convention: str) -> Row:
+    """The row with a number that is no score."""
+    value, note = _check_finite(value)
+    return replace(row, metric=metric, value=value, convention=convention, note=note)
 
 
-def _check_image(method: str, result: FrameResult) -> None:
+def _check_finite(value: float, note: str = "") -> tuple[float, str]:
+    """The value and note of a row; a value that is not finite is nan with a note."""
+    return (value, note) if math.isfinite(value) else (math.nan, note or f"the value is {value}")
+
+
+def _check_image(method: str, image: Any, reference: Tensor) -> None:
     """Raise PluginError for an image that metrics would silently broadcast or round."""
-    image, reference = result.image, result.frame.reference.half_a
     if not isinstance(image, torch.Tensor):
         kind = f"{type(image).__module__}.{type(image).__name__}"
         raise registry.PluginError(

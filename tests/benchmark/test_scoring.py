@@ -10,7 +10,7 @@ import torch
 
 from metrics.metric import Metric
 from rlbench import registry
-from rlbench.benchmark.ground_truths import ground_truth
+from rlbench.benchmark.ground_truth_cache import make_ground_truth
 from rlbench.benchmark.results import NOISE_CEILING, Row
 from rlbench.benchmark.scoring import compare_frame, refusal_row, score_frame
 from rlbench.clips.procedural.clip import procedural_clip
@@ -34,7 +34,7 @@ def score(metric, result, header, previous=None):
 
 
 def compared(result, previous=None):
-    truth = ground_truth(Metric, result.frame)
+    truth = make_ground_truth(Metric, result.frame)
     return compare_frame(Metric, result, truth, previous and compared(previous))
 
 

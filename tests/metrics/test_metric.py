@@ -9,7 +9,7 @@ import pytest
 import torch
 from torch.utils._python_dispatch import TorchDispatchMode
 
-from metrics import image, ssim
+from metrics import effort, image, ssim, temporal
 from metrics.ground_truth import GroundTruth
 from metrics.metric import MAX_PREVIOUS, Comparison, Metric
 from rlbench import registry
@@ -87,24 +87,24 @@ class DisplayCurves(TorchDispatchMode):
 
 def score_all(frame, size):
     for metric in registry.load_run_metrics().values():
-        if not metric.previous_frames:
+        if metric.previous_frames <= frame.frames_before and all(map(frame.has, metric.needs)):
             metric.at(*size).score(frame)
+
+
+def count_calls(monkeypatch, module, name, calls):
+    function = getattr(module, name)
+
+    def call(*args):
+        calls[name] += 1
+        return function(*args)
+
+    monkeypatch.setattr(module, name, call)
 
 
 def test_all_metrics_of_a_frame_share_what_they_derive_from_it(monkeypatch):
     calls = Counter()
-
-    def counted(module, name):
-        function = getattr(module, name)
-
-        def call(*args):
-            calls[name] += 1
-            return function(*args)
-
-        monkeypatch.setattr(module, name, call)
-
-    counted(image, "bound_radiance")
-    counted(ssim, "similarity_terms")
+    count_calls(monkeypatch, image, "bound_radiance", calls)
+    count_calls(monkeypatch, ssim, "similarity_terms", calls)
     half = torch.rand(1, 3, 176, 176, generator=torch.Generator().manual_seed(0))
     counts = torch.arange(176).expand(1, 1, 176, 176)
     given = {"counts": counts, "static": True, "max_samples": 8}
@@ -115,12 +115,27 @@ def test_all_metrics_of_a_frame_share_what_they_derive_from_it(monkeypatch):
     assert calls == {"bound_radiance": 4, "similarity_terms": 5}  # the five scales of MS-SSIM
 
 
-def test_images_with_one_ground_truth_share_what_depends_on_the_reference_alone():
+def test_images_with_one_ground_truth_share_what_depends_on_the_reference_alone(monkeypatch):
+    calls = Counter()
+    for module, name in [
+        (ssim, "reference_windows"),
+        (effort, "scene_noise"),
+        (temporal, "locate_previous"),
+    ]:
+        count_calls(monkeypatch, module, name, calls)
     half = torch.rand(1, 3, 32, 32, generator=torch.Generator().manual_seed(0))
     counts = torch.arange(32).expand(1, 1, 32, 32)
-    truth = GroundTruth(half, half + 0.1, static=True)
+    truth = GroundTruth(half, half + 0.1, motion=torch.full((1, 2, 32, 32), 0.5))
     with DisplayCurves() as curves:
         for brightness in (0.5, 0.7, 0.9):
-            frame = Comparison(half * brightness, truth, counts=counts, max_samples=8)
+            before = Comparison(half, truth, counts=counts)
+            frame = Comparison(half * brightness, truth, counts=counts, previous=before)
             score_all(frame, (32, 32))
-    assert curves.count == 3 + 3  # the reference and its halves, and the three images
+    assert curves.count == 3 + 6  # the reference and its halves, and the images
+    assert calls == {"reference_windows": 1, "scene_noise": 1, "locate_previous": 1}
+
+
+def test_a_reference_in_place_of_a_ground_truth_is_an_error_that_says_what_to_write():
+    half = torch.zeros(1, 3, 4, 5)
+    with pytest.raises(TypeError, match=r"Comparison\.of\(image, half_a, half_b\)"):
+        Comparison(half, half)

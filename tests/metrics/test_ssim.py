@@ -12,6 +12,7 @@ from metric_images import encoded_pair, frame_of, image_pair
 from skimage.metrics import structural_similarity
 from torchmetrics.functional.image import structural_similarity_index_measure
 
+from metrics.catalog import MS_SSIM
 from metrics.ssim import BLOCK, SCALE_WEIGHTS, max_scales, ms_ssim, ssim
 
 NONFINITE = (math.nan, math.inf, -math.inf)
@@ -107,6 +108,9 @@ def test_ms_ssim_with_too_many_scales_names_the_alternative():
     image, reference = encoded_pair(160, 200)
     with pytest.raises(ValueError, match=r"sides above 160 pixels, found 160 x 200, which allow 4"):
         ms_ssim(image, reference)
+    frame = frame_of(*image_pair(160, 200))
+    with pytest.raises(ValueError, match=r"which allow 4. Use MS_SSIM.at"):
+        MS_SSIM.score(frame)
 
 
 @pytest.mark.parametrize("scales", [5, 4])

@@ -17,7 +17,7 @@ from metrics.temporal import (
     MIN_WEIGHT,
     change_of_error,
     flicker,
-    locate_source,
+    locate_previous,
     tpsnr,
     warp,
     warped_error,
@@ -64,7 +64,7 @@ def changes_by_loops(error, previous, motion):
 
 
 def change_along(error, previous, motion):
-    return change_of_error(error, previous, locate_source(error, motion))
+    return change_of_error(error, previous, locate_previous(error, motion))
 
 
 def percent(changes):

@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 import os
 import statistics
-import time
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import NamedTuple
@@ -26,7 +25,6 @@ __all__ = [
 SLOWDOWN = 1.25  # times a quiet calibration; beyond it the machine is busy
 MIN_PROCESSOR_SHARE = 0.8  # of the processor time that its threads ask for, on a quiet machine
 REPEATS = 9  # runs of the kernel in one calibration
-SETTLE_SECONDS = 0.01  # idle threads of Open Image Denoise's TBB look for work for 1 to 5 ms
 SIDE = {"cpu": 256}  # of the kernel's matrices: about a millisecond
 ACCELERATOR_SIDE = 2048
 
@@ -57,7 +55,7 @@ class Calibrator:
 
     def measure(self) -> Calibration:
         """One reading, the median of a few runs."""
-        time.sleep(SETTLE_SECONDS)
+        self.clock.settle()
         ran, waited = self.clock.processor_ms(), self.clock.waiting_ms()
         times = [self.clock.wall_ms()]
         for _ in range(REPEATS):

@@ -25,6 +25,7 @@ from rlbench.wrappers import MethodWrapper
 
 __all__ = ["Clock", "FrameTime", "Stopwatch", "SystemClock", "TimedMethod", "timed_reader"]
 
+SETTLE_SECONDS = 0.01  # idle threads of TBB look for work for 1 to 5 ms
 SCHEDULER = Path("/proc/self/task")  # a folder for each thread, with its schedstat
 
 
@@ -42,6 +43,9 @@ class Clock(Protocol):
 
     def context_switches(self) -> int:
         """How often the system took a processor from this process, whatever its thread."""
+
+    def settle(self) -> None:
+        """Wait until threads that have nothing left to do are asleep."""
 
 
 @dataclass(frozen=True)
@@ -77,6 +81,10 @@ class SystemClock:
         except ImportError:  # Windows
             return 0
         return resource.getrusage(resource.RUSAGE_SELF).ru_nivcsw
+
+    def settle(self) -> None:
+        """Wait for longer than the threads of Open Image Denoise look for work after a frame."""
+        time.sleep(SETTLE_SECONDS)
 
 
 class FrameTime(NamedTuple):

@@ -22,6 +22,7 @@ class Machine:
     processor: float = 0.0
     waiting: float = 0.0
     switches: int = 0
+    busy_threads: int = 0  # of this process, which look for work and find none
 
     def wall_ms(self):
         return self.now
@@ -35,9 +36,12 @@ class Machine:
     def context_switches(self):
         return self.switches
 
+    def settle(self):
+        self.busy_threads = 0
+
     def work(self, ms):
         taken = ms * self.slowdown(self.now)
-        share = self.processor_share(self.now)
+        share = self.processor_share(self.now) / (1 + self.busy_threads)
         self.processor += taken * share
         self.waiting += taken * (1 - share)
         self.now += taken
@@ -54,6 +58,7 @@ class Worker:
     plan_ms: float = 1.0
     denoise_ms: float = 9.0
     jitter: float = 0.0
+    busy_threads: int = 0  # that go on looking for work after a frame
     traits: Traits = Traits()
     states: list[object] = field(default_factory=list)
 
@@ -68,4 +73,5 @@ class Worker:
         wave = math.sin(2.4 * len(self.states))  # covers [-1, 1] evenly enough
         self.machine.work(self.denoise_ms * (1 + self.jitter * wave))
         self.states.append(state)
+        self.machine.busy_threads = self.busy_threads
         return samples.mean, state + 1

@@ -65,6 +65,13 @@ def test_a_constant_load_is_reported_by_the_share_of_the_processors():
     assert timing.inference.p50 == pytest.approx(20.0)  # still the best that is known
 
 
+def test_threads_that_look_for_work_after_a_frame_are_no_load():
+    machine = Machine()
+    timings = time_rows(machine, Worker(machine), Worker(machine, busy_threads=2))
+    assert [timing.unreliable for timing in timings] == ["", ""]
+    assert timings[0].processor_share == pytest.approx(1.0)
+
+
 def test_a_time_that_never_gets_steady_is_reported_with_its_interval():
     machine = Machine()
     steady, unsteady = time_rows(machine, Worker(machine), Worker(machine, jitter=0.6))
