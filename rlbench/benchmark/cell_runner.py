@@ -24,6 +24,7 @@ from rlbench.benchmark.timing_cache import TimingCache, TimingCallback
 from rlbench.method import Method, config_json
 from rlbench.parallel.executor import Executor, JobResult, ProgressCallback, Resources
 from rlbench.run import run_clip
+from rlbench.system.memory import keep_freed_memory
 from rlbench.training.dataset import QUICK_PREFIX, QUICK_REMARK
 
 __all__ = ["CellOutput", "CellRunner"]
@@ -101,6 +102,7 @@ class CellRunner:
 
     def __call__(self, cell: ResolvedCell, on_progress: ProgressCallback) -> CellOutput:
         """Scores of each frame, then times; or one row with the reason why there are none."""
+        keep_freed_memory()
         if reason := self.loader.incompatibility(cell):
             return CellOutput([refusal_row(self.templates[cell.key], reason)])
         return self._measure(cell, self.loader.method(cell))

@@ -12,6 +12,7 @@ from typing import Any, NamedTuple
 
 from rlbench import registry
 from rlbench.clips.in_memory import InMemoryClip
+from rlbench.system.memory import keep_freed_memory
 from rlbench.training import checkpoint, replay, validation
 from rlbench.training.batches import Batches, prefetch, sample_budget
 from rlbench.training.config import TrainingConfig
@@ -64,6 +65,7 @@ def train(
     stored in a file for `replay_sequence`.
     """
     check_budgets(method, config)
+    keep_freed_memory()
     task: TrainingTask = registry.training_task(method, device, config.seed)
     state = TrainState(task, config, device)
     batches = Batches.from_config(train_clips, config, task.method.traits, device)
