@@ -15,9 +15,10 @@ def keep_freed_memory() -> bool:
     """Let the C library reuse freed memory instead of returning it to the system; was it possible?
 
     By default glibc maps a tensor above 32 MiB anew whenever one is created, and the system clears
-    its pages: at 720 x 720, two fifths of the time of `ours`. Smaller ones are returned
-    and cleared too: at 192 x 192, a fifth of a frame of `ours`, and a tenth of a training step. A renderer allocates its buffers
-    once. The process keeps its largest size until it ends. Other C libraries are left as they are.
+    its pages: at 720 x 720, two fifths of the time of `ours`. It returns smaller ones too, which
+    takes a fifth of a frame at 192 x 192 and a tenth of a training step. A renderer allocates its
+    buffers once. The process keeps its largest size until it ends. Other C libraries are left as
+    they are.
     """
     if sys.platform != "linux":
         return False
