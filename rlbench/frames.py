@@ -13,7 +13,6 @@ from torch import Tensor
 __all__ = [
     "BUFFERS",
     "Clip",
-    "ClipWrapper",
     "Frame",
     "GBuffer",
     "Pool",
@@ -155,41 +154,6 @@ class Clip(Protocol):
 
     def __iter__(self) -> Iterator[Frame]:
         """The frames in order, from frame 0."""
-
-
-@dataclass(frozen=True)
-class ClipWrapper:
-    """A clip that forwards everything to another clip; override the members that differ."""
-
-    clip: Clip
-
-    @property
-    def name(self) -> str:
-        """Name of the clip."""
-        return self.clip.name
-
-    @property
-    def scene(self) -> str:
-        """Name of the scene."""
-        return self.clip.scene
-
-    @property
-    def size(self) -> Size:
-        """Number of clips in the batch, height and width."""
-        return self.clip.size
-
-    @property
-    def digest(self) -> str:
-        """Hash of the content."""
-        return self.clip.digest
-
-    def __len__(self) -> int:
-        """Number of frames."""
-        return len(self.clip)
-
-    def __iter__(self) -> Iterator[Frame]:
-        """The frames in order."""
-        return iter(self.clip)
 
 
 @dataclass(frozen=True)

@@ -14,8 +14,9 @@ from typing import Protocol
 import torch
 
 from rlbench.clips.stored import Header, open_clip, read_header
+from rlbench.clips.wrapper import ClipWrapper
 from rlbench.family import Traits
-from rlbench.frames import Clip, ClipWrapper, Frame
+from rlbench.frames import Clip, Frame
 from rlbench.render.jobs.live_pool import open_live_clip, scene_of_folder
 from rlbench.render.mitsuba.llvm import select_variant
 from rlbench.system import code_hash, provenance

@@ -8,7 +8,8 @@ from dataclasses import dataclass, field
 from functools import partial
 from typing import Any
 
-from rlbench.frames import Clip, ClipWrapper, Frame
+from rlbench.clips.wrapper import ClipWrapper
+from rlbench.frames import Clip, Frame
 from rlbench.ops.sanitize import sanitize_motion
 
 __all__ = ["ClipWithTruth", "GroundTruthCache", "make_ground_truth"]

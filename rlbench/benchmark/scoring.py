@@ -102,7 +102,7 @@ def score_frames(
 def score_frame(
     template: Row,
     metrics: Iterable[Any],  # as metrics.metric.Metric
-    comparison: Any,  # as metrics.metric.Comparison
+    comparison: Any,  # as metrics.comparison.Comparison
     result: FrameResult,
     header: Header,
 ) -> Iterator[Row]:

@@ -10,8 +10,9 @@ import torch
 from torch.utils._python_dispatch import TorchDispatchMode
 
 from metrics import effort, image, ssim, temporal
+from metrics.comparison import MAX_PREVIOUS, Comparison
 from metrics.ground_truth import GroundTruth
-from metrics.metric import MAX_PREVIOUS, Comparison, Metric
+from metrics.metric import Metric
 from rlbench import registry
 
 
