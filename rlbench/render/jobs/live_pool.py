@@ -17,6 +17,7 @@ from torch import Tensor
 from rlbench.clips.exr import channel_dtype
 from rlbench.clips.frame_files import exr_path
 from rlbench.clips.stored import ClipError, StoredClip, read_header, sample_order
+from rlbench.clips.wrapper import ClipWrapper
 from rlbench.frames import Frame, Samples, Size
 from rlbench.render.fingerprint import fingerprint
 from rlbench.render.jobs.job import FRAME_POOLS, read_content_key
@@ -102,36 +103,12 @@ class LivePool:
 
 
 @dataclass(frozen=True)
-class LiveClip:
+class LiveClip(ClipWrapper):
     """A rendered clip with stored G-buffers and references, and with live pools."""
 
-    stored: StoredClip
+    clip: StoredClip
     tracer: Tracer
-    max_samples: int | None = None  # per pixel that can be drawn; None: as of `stored`
-
-    @property
-    def name(self) -> str:
-        """The clip's name."""
-        return self.stored.name
-
-    @property
-    def scene(self) -> str:
-        """The name of the clip's scene."""
-        return self.stored.scene
-
-    @property
-    def size(self) -> Size:
-        """One clip and its pixels."""
-        return self.stored.size
-
-    @property
-    def digest(self) -> str:
-        """The digest of the stored clip."""
-        return self.stored.digest
-
-    def __len__(self) -> int:
-        """The number of frames."""
-        return len(self.stored)
+    max_samples: int | None = None  # per pixel that can be drawn; None: as of `clip`
 
     def __iter__(self) -> Iterator[Frame]:
         """The frames in order; the scene moves to each as it is reached."""
@@ -139,7 +116,7 @@ class LiveClip:
 
     def frame(self, index: int) -> Frame:
         """Frame `index`, float32 on the clip's device."""
-        clip, header = self.stored, self.stored.header
+        clip, header = self.clip, self.clip.header
         order, seed = sample_order(clip.seed, clip.name, index, header.pool_spp)
         most = self.max_samples or clip.max_samples
         numbers = (*order, *range(header.pool_spp, most))[:most]  # the stored ones come first
