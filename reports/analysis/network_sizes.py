@@ -51,15 +51,19 @@ def select_sizes(results: pd.DataFrame) -> tuple[pd.DataFrame, str]:
 
 
 def at_equal_latency(
-    curves: Sequence[Curve], sample_ms: float, seed: int = 0, draws: int = BOOTSTRAP_SAMPLES
+    curves: Sequence[Curve],
+    sample_ms: float,
+    seed: int = 0,
+    draws: int = BOOTSTRAP_SAMPLES,
+    base_name: str = BASE,
 ) -> pd.DataFrame:
-    """Each size in the frame time that BASE has at each of its budgets; empty without BASE.
+    """Each row in the frame time that the base has at each of its budgets; empty without the base.
 
     Columns method, base_spp, deadline_ms, spp (the best budget in this time, between the measured
     ones; nan: none fits), share (of the base's samples), is_bound (more samples would fit than were
-    measured), value, and those of `difference_columns` (value minus that of BASE, paired by scene).
+    measured), value, and those of `difference_columns` (value minus the base's, paired by scene).
     """
-    base = next((curve for curve in curves if curve.method == BASE), None)
+    base = next((curve for curve in curves if curve.method == base_name), None)
     if base is None:
         return pd.DataFrame()
     records = []

@@ -1,0 +1,159 @@
+"""What each part of `ours` gives over what would stand in its place, per sample and per time."""
+
+from __future__ import annotations
+
+from collections.abc import Hashable, Mapping
+from pathlib import Path
+from typing import Any
+
+import pandas as pd
+
+from reports.analysis.aggregate import Scores
+from reports.analysis.comparability import check_comparable, split_by_device
+from reports.analysis.curves import curves_of, measured_sample_ms
+from reports.analysis.intervals import BOOTSTRAP_SAMPLES
+from reports.analysis.multiplicity import correct_by_holm, difference_notes
+from reports.analysis.network_sizes import at_equal_latency
+from reports.analysis.variant_differences import differences
+from reports.analysis.verdicts import VERDICT_NOTE
+from reports.layout.page import Section, write_page
+from reports.layout.tables import (
+    UNRELIABLE_MARK,
+    UNRELIABLE_MEANING,
+    Table,
+    format_difference,
+    pivot_by_budget,
+)
+from rlbench.benchmark.results import MissingRowsError
+
+__all__ = ["BASE", "PARTS", "write"]
+
+BASE = "ours"
+PARTS = {  # row: what BASE has and the row lacks, or has in its place
+    "ours/by-rule": "the learned correction of the density",
+    "ours/A1": "rewards, beside the approximate gradient",
+    "ours/A2": "the density, learned and by rule, against uniform samples",
+    "accumulate/tuned": "the correction; a denoiser that reads last image and statistics",
+    "accumulate/contrast": "these, and a denoiser that knows accumulated light",
+    "accumulate/intel": "all that was trained here",
+    "ours/latent": "nothing: this row adds encoder and latent state",
+    "oidn/tuned": "memory and density",
+    "oidn-intel": "memory, density, and tuning",
+}
+SAMPLES, TIME, FIRST = "equal samples", "equal time", "first frame"
+
+
+def write(
+    results: pd.DataFrame,
+    folder: Path,
+    name: str = "parts",
+    seed: int = 0,
+    draws: int = BOOTSTRAP_SAMPLES,
+) -> list[Path]:
+    """Write `name`.md, .csv and .tex: the rows of `PARTS` minus `ours`, one section per device.
+
+    Tables of equal time need times and the cost of a sample; without them they are left out. Raises
+    MissingRowsError without scores of ours and of one of these rows on one device.
+    """
+    chosen = results[results["method"].isin([BASE, *PARTS])]
+    sections = []
+    for device, rows in split_by_device(chosen).items():
+        check_comparable(rows)
+        scores = Scores(rows, device=device)
+        measured = set(scores.measured["method"])
+        if BASE in measured and len(measured) > 1:
+            sections.append(_section(scores, seed, draws))
+    if not sections:
+        raise MissingRowsError(
+            f"no device has scores of {BASE} and of one of {', '.join(PARTS)}; measure them with "
+            f"rlbench run -m {BASE},{','.join(PARTS)}"
+        )
+    return write_page(folder, name, f"Parts of {BASE}", chosen, sections)
+
+
+def _section(scores: Scores, seed: int, draws: int) -> Section:
+    rows = [row for row in PARTS if row in set(scores.measured["method"])]
+    first_frames = Scores(_keep_first_frames(scores.measured), device=scores.device)
+    gaps = {
+        SAMPLES: differences(scores, BASE, rows, seed, draws),
+        TIME: _at_equal_time(scores, rows, seed, draws),
+        FIRST: differences(first_frames, BASE, rows, seed, draws),
+    }
+    records = correct_by_holm(pd.concat([part.assign(table=k) for k, part in gaps.items()]))
+    parts = {title: records[records["table"] == title] for title in gaps}
+    tables = [
+        _gap_table(
+            "Equal samples", f"Each row minus {BASE}, PSNR in dB, all frames.", parts[SAMPLES]
+        ),
+        *(_time_tables(scores, parts[TIME]) if len(parts[TIME]) else ()),
+        _gap_table(
+            "First frame",
+            f"Each row minus {BASE} at equal samples, PSNR in dB of the first frame of each clip, "
+            "which no memory helps.",
+            parts[FIRST],
+        ),
+    ]
+    lists = {
+        "Differences": difference_notes(records),
+        "Rows without scores": [f"{row}: {PARTS[row]}" for row in PARTS if row not in rows],
+        "Not run": scores.skip_reasons,
+        "Unreliable times": scores.unreliable_times if len(parts[TIME]) else [],
+        "Remarks": scores.remarks,
+    }
+    return Section(scores.device, tables, records, lists)
+
+
+def _keep_first_frames(rows: pd.DataFrame) -> pd.DataFrame:
+    """The rows of the first frame of each clip."""
+    return rows[rows["frame"] == rows.groupby("clip")["frame"].transform("min")]
+
+
+def _at_equal_time(scores: Scores, rows: list[str], seed: int, draws: int) -> pd.DataFrame:
+    """Each row in the frame time of BASE; empty without times of BASE and of another row."""
+    curves = [curve for curve in curves_of(scores) if curve.method in (BASE, *rows)]
+    found = at_equal_latency(curves, measured_sample_ms(scores), seed, draws, BASE)
+    if found.empty:
+        return found
+    doubted = set(scores.points.loc[scores.points["unreliable"], "method"])
+    others = found[(found["method"] != BASE) & found["spp"].notna()].rename(
+        columns={"base_spp": "target_spp"}
+    )
+    return others.assign(unreliable=others["method"].isin(doubted))
+
+
+def _gap_table(title: str, caption: str, records: pd.DataFrame) -> Table:
+    order = [row for row in PARTS if row in set(records["method"])]
+    header, rows = pivot_by_budget(records, format_difference, order)
+    lines = tuple((f"{row[0]}: {PARTS[row[0]]}", *row[1:]) for row in rows)
+    caption += f" Below zero: the part of {BASE} that follows the colon pays."
+    return Table(
+        title, caption, (f"row: what {BASE} has in its place", *header[1:]), lines, VERDICT_NOTE
+    )
+
+
+def _time_tables(scores: Scores, records: pd.DataFrame) -> tuple[Table, Table]:
+    order = [row for row in PARTS if row in set(records["method"])]
+    header, rows = pivot_by_budget(records, _format_samples, order)
+    columns = ", ".join(
+        f"{spp:g} spp: {ms:.1f} ms"
+        for spp, ms in sorted(set(zip(records["target_spp"], records["deadline_ms"], strict=True)))
+    )
+    gap_table = _gap_table(
+        "Equal time",
+        f"Each row minus {BASE}, PSNR in dB: the row at its best budget that fits the frame time "
+        f"of {BASE} at the budget above ({columns}), between the measured ones. Inference on "
+        f"{scores.device_name}; cost of a sample: {scores.cost_source or 'not named'}.",
+        records,
+    )
+    caption = (
+        f"Samples per pixel of each row in the frame time of {BASE}. After `>=` no larger budget "
+        f"was measured; -: no measured budget fits. {UNRELIABLE_MARK}: {UNRELIABLE_MEANING}."
+    )
+    return gap_table, Table("Samples at equal time", caption, ("row", *header[1:]), tuple(rows))
+
+
+def _format_samples(record: Mapping[Hashable, Any]) -> str:
+    spp = record["spp"]
+    return (
+        f"{'>= ' * bool(record['is_bound'])}{spp:.2f}{UNRELIABLE_MARK * bool(record['unreliable'])}"
+    )
