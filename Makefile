@@ -72,6 +72,7 @@ docs: .venv/dev.stamp
 	$(BIN)/rlbench report equal_time --results $(RESULTS) --out docs/made
 	$(BIN)/rlbench report equal-latency --results $(RESULTS) --out docs/made
 	$(BIN)/rlbench report network-study --results $(RESULTS) --out docs/made
+	$(BIN)/rlbench report parts --results $(RESULTS) --out docs/made
 	$(BIN)/rlbench images -m ours,oidn-intel,imcd,ntas,svgf,mean --scenes city --out docs/made
 	mv docs/made/city-1spp-07.png docs/made/images.png && rm -r docs/made/city-1spp-07
 	cp docs/made/*.md docs/made/*.png docs/made/winners.csv docs/results && rm -r docs/made

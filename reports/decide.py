@@ -39,11 +39,11 @@ def decide(
 ) -> Decision:
     """The method with the best expected score among those that fit `frame_ms`, and its rivals.
 
-    `sample_ms` is the time of one path sample for each pixel; the time of a frame is plan + denoise
-    (p50, from the results) + samples x `sample_ms`, mean over scenes. `device` names the device
-    whose times are used, where the results have several. `left_out` are sentences about rows that
-    were not considered. Raises ReportError if no method fits or has times, or if rows cannot be
-    compared.
+    `sample_ms` is the time of one path sample for each pixel; the time of a frame is plan +
+    allocate + denoise (from the results) + samples x `sample_ms`, mean over scenes. `device` names
+    the device whose times are used, where the results have several. `left_out` are sentences about
+    rows that were not considered. Raises ReportError if no method fits or has times, or if rows
+    cannot be compared.
     """
     rows, device = select_device(results, device)
     check_comparable(rows)

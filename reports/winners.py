@@ -130,7 +130,7 @@ def _labels(scores: Scores, curves: Sequence[Curve]) -> MapLabels:
     return MapLabels(
         caption=(
             f"Best mean {scores.metric.upper()} over scenes, {describe_clips(scores.measured)}. "
-            "Frame time: plan + denoise (p50) on "
+            "Frame time without the G-buffer: plan + allocate + denoise on "
             f"{scores.device_name}{at_size}\n+ samples per pixel x cost of a sample. "
             "Between measured budgets scores are linear in log spp; none is extrapolated." + missing
         ),

@@ -52,6 +52,10 @@ def test_weights_shared_between_variants_exist():
     assert files == {path.name for path in SHIPPED}
 
 
+def test_all_shipped_weights_together_stay_below_60_mib():
+    assert sum(path.stat().st_size for path in SHIPPED) < 60 * 2**20
+
+
 @shipped
 def test_weights_match_their_card(path):
     card = read_card(path)

@@ -1,4 +1,4 @@
-"""The proposed method: a reinforcement-learned sampler, a recurrent state, a denoiser on both."""
+"""The proposed method: a learned sampler and denoiser, with a memory by rule or a latent state."""
 
 from dataclasses import replace
 

@@ -32,7 +32,7 @@ class Candidate:
     spp: float
     value: Interval  # expected score, over scenes
     frame_ms: float  # inference_ms + sampling_ms
-    inference_ms: float  # plan + denoise, p50
+    inference_ms: float  # plan + allocate + denoise, mean of the middle half
     sampling_ms: float
     is_largest_budget: bool  # more time would buy nothing that was measured
     difference: Interval  # to the winner, paired by scene; of the winner: nan

@@ -46,7 +46,7 @@ def at_deadlines(
     """The score of each method at its best budget within each deadline, and what the best gains.
 
     Columns method, deadline_ms, spp, value, best, and those of `difference_columns` (to the best
-    method, paired by scene). `late`: the frame time has the p95 of plan + denoise, so that about
+    method, paired by scene). `late`: the frame time has the p95 of inference, so that about
     one frame in 20 is late.
     """
     records = []

@@ -93,7 +93,7 @@ def _basis(decision: Decision, sample_device: str) -> Iterator[str]:
     size = ", ".join(decision.image_sizes) or "an image size that these results do not state"
     device = decision.inference_device or "an unnamed device"
     yield (
-        f"Inference (plan + denoise, p50) was measured on {device}, at {size}; "
+        f"Inference (plan + allocate + denoise) was measured on {device}, at {size}; "
         "it is not scaled to another device or size."
     )
     if sample_device and sample_device != device:

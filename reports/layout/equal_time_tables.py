@@ -70,7 +70,7 @@ def _published_row(base: str) -> tuple[str, ...] | None:
 
 
 def deadline_table(records: pd.DataFrame, scores: Scores, sample_ms: float, late: bool) -> Table:
-    """The score of each method within each deadline, in p50 or (`late`) p95 of plan + denoise."""
+    """The score of each method within each deadline; `late`: that 95 % of its frames meet."""
 
     def cell(row: Record) -> str:
         text = f"{row['value']:.2f}"
@@ -78,10 +78,10 @@ def deadline_table(records: pd.DataFrame, scores: Scores, sample_ms: float, late
             return Bold(text)
         return f"{text} ({format_difference(row)})"
 
-    percentile = "p95" if late else "p50"
+    percentile = "p95" if late else "mean of the middle half"
     caption = (
         f"PSNR in dB ({scores.convention}), mean over scenes, of each method at its best spp whose "
-        f"frame time is within the time at the top: plan + denoise ({percentile}, on "
+        f"frame time is within the time at the top: plan + allocate + denoise ({percentile}, on "
         f"{scores.device_name}) + samples x {sample_ms:.3g} ms "
         f"({scores.cost_source or 'an unnamed source'}), mean over scenes. "
         "Between measured budgets linear in log spp; none is extrapolated. Parentheses: paired "
@@ -89,7 +89,7 @@ def deadline_table(records: pd.DataFrame, scores: Scores, sample_ms: float, late
     )
     if late:
         caption += (
-            "Frames whose plan + denoise takes longer than its p95, one in 20, are late and show "
+            "Frames whose inference takes longer than its p95, one in 20, are late and show "
             + (
                 "the last image again: the PSNR is 0.95 psnr + 0.05 psnr_late."
                 if has_late_scores(scores.rows)

@@ -63,7 +63,7 @@ def render(
 
     \b
       rlbench render
-      rlbench render --preset train --seeds 0:48
+      rlbench render --preset train --seeds 0:40
       rlbench render --scenes city,hall-cut --preset standard
       rlbench render --radiance-cap 64
       rlbench render --buffers object,normal_psr

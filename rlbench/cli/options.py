@@ -112,7 +112,7 @@ SceneSeeds = Annotated[
     typer.Option(
         parser=arguments.parse_seeds,
         metavar="SEEDS",
-        help="seeds of generated scenes, 0:48 or 3,7; default: as in the preset",
+        help="seeds of generated scenes, 0:40 or 3,7; default: as in the preset",
         rich_help_panel=CLIPS,
     ),
 ]

@@ -19,7 +19,7 @@ def stress(
     only: Annotated[
         list[str] | None,
         typer.Option(
-            "--only", metavar="SECTIONS", help="sections a,b, see below; default: all of them"
+            "--only", metavar="SECTIONS", help="sections a,b of those above; default: all of them"
         ),
     ] = None,
     quick: Annotated[
@@ -52,11 +52,11 @@ def stress(
     per method and section, and reused while code and weights are the same. The exit code is 1 if a
     test failed.
 
-    Without --methods, all pretrained rows with weights of their own are tested. Sections of the
-    suite itself (allocation, metrics) run without --methods or if --only names them.
+    Without --methods, every row that does not borrow the weights of another is tested. Sections of
+    the suite itself (allocation, metrics, gradients) run without --methods or if --only names them.
 
     Sections: bad-pixel, budgets, allocation, long-runs, precision, transformations, lying-buffers,
-    metrics, and those of plugins.
+    metrics, gradients, and those of plugins.
 
     Examples:
 

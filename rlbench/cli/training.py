@@ -66,7 +66,7 @@ def train(
       rlbench train -m mine --plugin mine.py --quick
       rlbench train --methods ours,ntas
       rlbench train -m ours --minutes 30 --device cuda
-      rlbench train -m ours --seeds 0:48 --train-spp 0.5,1
+      rlbench train -m ours --seeds 0:40 --train-spp 0.5,1
       rlbench train -m ntas --holdout hall --preset standard
     """
     load_plugins(plugin)
