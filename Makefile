@@ -9,7 +9,7 @@ REPORT := $(RESULTS)/report
 
 # what rules give: memory and density by hand behind a learned denoiser, and `ours` with a density by rule
 RULES := accumulate,accumulate/contrast,accumulate/variance,accumulate/denoised-variance,accumulate/tuned,accumulate/intel,ours/by-rule
-CONTROLS := ours,ours/A2,ours/latent,ours/latent-stateless,ours/latent-by-rule,ours/latent-initial,oidn,oidn/tuned,oidn/half,$(RULES)
+CONTROLS := ours,ours/A2,ours/latent,ours/latent-stateless,ours/latent-by-rule,ours/latent-initial,oidn,oidn/filled,oidn-intel/filled,oidn/tuned,oidn/half,$(RULES)
 
 # the networks of the paper, developed, and their ablations
 LATENT := ours/latent,ours/latent-A1,ours/latent-A2,ours/latent-B1,ours/latent-B2,ours/latent-C,ours/latent-small,ours/latent-stateless,ours/latent-by-rule,ours/latent-flat,ours/latent-initial
@@ -20,6 +20,12 @@ PAPER := ours/paper,ours/paper-appo,ours/paper-A1,ours/paper-A2,ours/paper-B1,ou
 # the paper's Table 1, its ablations, and the methods they are compared with; at the paper's budgets
 TABLE1 := ours,ours/A1,ours/A2,ours/flat,$(LATENT),$(PAPER),imcd,imcd/history,ntas,ntas/history,nppd,nppd/history,dasr,restir+oidn,svgf,oidn,oidn/retrained,restir,mean,oidn/tuned,oidn-intel,$(RULES)
 BUDGETS := 0.01,0.1,0.3,0.5,1,2,4
+
+# published denoisers, with their own history and with that of ours
+PUBLISHED := imcd,imcd/history,ntas,ntas/history,nppd,nppd/history,svgf,oidn/retrained
+
+# all of these, on every preset of many clips
+EVERY := $(CONTROLS),ours/A1,ours/latent-A1,ours/latent-A2,ours/latent-C,oidn-intel,$(PUBLISHED),$(PAPER)
 
 # the nearest rivals, on many clips
 RIVALS := ours,ours/A1,ours/A2,ours/latent,ours/latent-A2,oidn/tuned,oidn-intel,accumulate/contrast,accumulate/tuned,ours/by-rule
@@ -93,10 +99,11 @@ table1: .venv/dev.stamp
 
 # 48 generated scenes that no training used: who leads, and what learned memory and sampling give over rules: 11 minutes of rendering, 15 of scoring
 unseen: .venv/dev.stamp
-	$(BIN)/rlbench run -m '$(CONTROLS),ours/A1,ours/latent-A1,ours/latent-A2,ours/latent-C,oidn-intel' --preset unseen --spp 0.5,1,2,4 --scores-only --out $(RESULTS)/unseen
+	$(BIN)/rlbench run -m '$(EVERY)' --preset unseen --spp 0.25,0.5,1,2,4 --scores-only --out $(RESULTS)/unseen
 	$(BIN)/rlbench render --preset unseen --digests > docs/results/unseen-clips.txt
-	$(call page,clips,$(RESULTS)/unseen,unseen)
+	$(call page,clips -m '$(RIVALS)',$(RESULTS)/unseen,unseen)
 	$(call page,clips -m '$(CONTROLS)',$(RESULTS)/unseen,controls)
+	$(call page,summary,$(RESULTS)/unseen,unseen-all)
 
 # times by size, backend and precision, and what a frame costs in work and memory: 9 minutes of a quiet machine
 speed: .venv/dev.stamp

@@ -24,6 +24,7 @@ __all__ = [
     "surface_features",
 ]
 
+LEAST_SPP = 1e-6  # a weight below it counts as none
 PYRAMID_LEVELS = 5  # of the pyramid that holes are filled from: 1/2 to 1/32
 SURFACE_FALLOFF = 2.0  # of similarity, per difference of normal and albedo, summed over channels
 DEPTH_FALLOFF = 5.0  # of similarity, per relative difference of depth
@@ -60,10 +61,14 @@ def frame_radiance(
 def accumulate(
     old: AccumulatedRadiance, new: AccumulatedRadiance, trust: Float[Tensor, "n 1 h w"]
 ) -> AccumulatedRadiance:
-    """The weighted mean of both. The old weight is first multiplied by `trust`, in [0, 1]."""
+    """The weighted mean of both. The old weight is first multiplied by `trust`, in [0, 1].
+
+    An old weight below LEAST_SPP counts as none, so that a pixel without a new sample is a hole then.
+    """
     old_spp = old.accumulated_spp * trust
+    old_spp = old_spp.where(old_spp >= LEAST_SPP, 0.0)
     spp = old_spp + new.accumulated_spp
-    share = old_spp / spp.clamp_min(1e-6)
+    share = old_spp / spp.clamp_min(LEAST_SPP)
     mean, square = (torch.lerp(b, a, share) for a, b in zip(old[:2], new[:2], strict=True))
     return AccumulatedRadiance(mean, square, spp)
 

@@ -41,7 +41,9 @@ def limit_fireflies(
     and leaves usual fireflies alone. A lamp that covers a single pixel is dimmed like an outlier.
     Pixels without a sample count in no mean, and where there are many of them, the window grows, to
     at most 41 x 41, until it holds as many samples as 5 x 5 full pixels.
-    Samples that are not finite or negative are replaced first (rlbench.ops.sanitize).
+    Samples should be finite and not negative, as the suite hands them over. Where a pixel's mean is
+    not, all samples are replaced first (rlbench.ops.sanitize); a negative sample that the others of
+    its pixel outweigh stays.
 
     `counts` is the number of samples per pixel; slots without a sample hold zero.
 
@@ -124,7 +126,9 @@ def _repair_radiance(history: Tensor) -> tuple[Tensor, Tensor]:
     """`repair_radiance_history`, and the log-average luminance of each image [n 1 1 1]."""
     history = repair_history(history, 0.0, HALF_MAX)
     light = luminance(history)
-    average = _log_average(torch.minimum(light, _max_of_neighbours(light)))
+    neighbours = _max_of_neighbours(light)
+    plausible = torch.minimum(light, neighbours).where(neighbours >= 0, light)
+    average = _log_average(plausible)
     return repair_history(history, 0.0, HISTORY_CONTRAST * average), average
 
 

@@ -85,6 +85,19 @@ def test_a_pixel_without_new_samples_keeps_its_radiance():
         assert torch.equal(before, after)
 
 
+@pytest.mark.parametrize("weight", [1e-9, 1e-7, 1e-5])
+def test_a_history_of_hardly_any_weight_never_darkens_a_pixel(weight):
+    """Without new samples the pixel keeps its light, or is a hole that takes its neighbours'."""
+    light = torch.full((1, 3, 8, 8), 5.0)
+    spp = torch.ones(1, 1, 8, 8)
+    spp[..., 4, 4] = weight
+    square = luminance(light)[:, None].square()
+    new = AccumulatedRadiance(torch.zeros_like(light), torch.zeros_like(square), 0 * spp)
+    kept = accumulate(AccumulatedRadiance(light, square, spp), new, torch.ones_like(spp))
+    filled = fill_holes(kept, torch.ones_like(light))
+    torch.testing.assert_close(filled.mean, light)
+
+
 def test_filling_holes_leaves_sampled_pixels_unchanged():
     radiance = random_radiance(3)
     albedo = torch.rand(1, 3, *SIZE[1:], generator=torch.Generator().manual_seed(1))

@@ -167,6 +167,11 @@ def test_broken_history_is_a_neighbours(value):
     assert torch.equal(repair_radiance_history(broken)[..., 8, 8], history[..., 8, 7])
 
 
+def test_bright_history_of_an_image_of_one_pixel_stays():
+    bright = torch.full((1, 3, 1, 1), 5e4)
+    assert torch.equal(repair_radiance_history(bright), bright)
+
+
 def test_valid_history_stays_though_a_lamp_is_a_thousand_times_brighter():
     history = noisy().mean(1)
     history[..., 8, 8] = 1000.0
