@@ -30,6 +30,9 @@ EVERY := $(CONTROLS),ours/A1,ours/latent-A1,ours/latent-A2,ours/latent-C,oidn-in
 # the nearest rivals, on many clips
 RIVALS := ours,ours/A1,ours/A2,ours/latent,ours/latent-A2,oidn/tuned,oidn-intel,accumulate/contrast,accumulate/tuned,ours/by-rule
 
+# rows of the page of takes
+TAKES := $(RIVALS),ours/lag,$(PUBLISHED)
+
 # rows with a memory, with and without a test of their history, and two without
 RECOVERING := ours,ours/lag,ours/latent,accumulate/contrast,accumulate/tuned,oidn/tuned,oidn-intel,imcd,imcd/history,ntas,ntas/history,nppd,nppd/history,svgf
 
@@ -104,6 +107,7 @@ unseen: .venv/dev.stamp
 	$(call page,clips -m '$(RIVALS)',$(RESULTS)/unseen,unseen)
 	$(call page,clips -m '$(CONTROLS)',$(RESULTS)/unseen,controls)
 	$(call page,summary,$(RESULTS)/unseen,unseen-all)
+	$(call page,parts,$(RESULTS)/unseen,parts-unseen)
 
 # times by size, backend and precision, and what a frame costs in work and memory: 9 minutes of a quiet machine
 speed: .venv/dev.stamp
@@ -138,13 +142,15 @@ equal: .venv/dev.stamp
 
 # comparison with static cameras, cuts, switched lights and static scenes: half an hour of rendering
 takes: .venv/dev.stamp
-	$(BIN)/rlbench run -m '$(RIVALS),ours/lag,imcd,imcd/history,ntas,ntas/history,nppd,nppd/history,svgf' --preset takes --spp 0.5,1,2,4 --out $(RESULTS)/takes
-	$(call page,clips,$(RESULTS)/takes,takes)
+	$(BIN)/rlbench run -m '$(EVERY),ours/lag' --preset takes --spp 0.25,0.5,1,2,4 --scores-only --out $(RESULTS)/takes
+	$(call page,clips -m '$(TAKES)',$(RESULTS)/takes,takes)
+	$(call page,summary,$(RESULTS)/takes,takes-all)
 
 # the main takes at 256x256, with references of up to 768 spp: an hour of rendering, 3 minutes of scoring
 standard: .venv/dev.stamp
-	$(BIN)/rlbench run -m '$(RIVALS)' --preset standard --takes main --spp 0.5,1,2,4 --scores-only --out $(RESULTS)/standard
-	$(call page,clips,$(RESULTS)/standard,standard)
+	$(BIN)/rlbench run -m '$(EVERY)' --preset standard --spp 0.25,0.5,1,2,4 --scores-only --out $(RESULTS)/standard
+	$(call page,clips -m '$(RIVALS)',$(RESULTS)/standard,standard)
+	$(call page,summary,$(RESULTS)/standard,standard-all)
 
 # what methods lose after a cut and a switched light, and how long: 9 minutes of rendering, 3 of scoring
 recovery: .venv/dev.stamp

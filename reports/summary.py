@@ -46,6 +46,7 @@ NOTE = (
 )
 DIGITS = 3  # significant ones, of the median of a table without a unit
 MAX_DECIMALS = 6
+MAX_SCENE_TABLES = 8
 
 
 def write(
@@ -57,8 +58,8 @@ def write(
 ) -> list[Path]:
     """Write `name`.md, .csv and .tex with a section for each device, and return the files.
 
-    `seed` and `draws` are those of the bootstrap. Raises ReportError if a mean would mix rows that
-    cannot be compared.
+    Up to eight scenes have a table of PSNR each. `seed` and `draws` are those of the bootstrap.
+    Raises ReportError if a mean would mix rows that cannot be compared.
     """
     sections = []
     for device, rows in split_by_device(results).items():
@@ -88,6 +89,9 @@ def write(
 
 
 def _scene_tables(scores: Scores, rank: pd.DataFrame) -> list[Table]:
+    """A table for each scene; none where there are many, which the report `clips` has in one."""
+    if scores.measured["scene"].nunique() > MAX_SCENE_TABLES:
+        return []
     return [
         _score_table(scores, rows) for scene, rows in rank.groupby("scene") if scene != ALL_SCENES
     ]

@@ -77,6 +77,14 @@ def test_there_is_a_table_for_each_scene(page):
     assert titles == ["mean over scenes", *sorted(SCENES)]
 
 
+def test_many_scenes_have_no_table_each(tmp_path):
+    ours = [r for r in rows(["ours", "ntas"]) if r.metric == "psnr"]
+    scenes = [[replace(r, scene=f"scene{i}", clip=f"scene{i}") for r in ours] for i in range(9)]
+    few, many = (to_dataframe([r for part in scenes[:n] for r in part]) for n in (8, 9))
+    assert write_and_read(few, tmp_path)[0].count("### psnr [dB]") == 9
+    assert write_and_read(many, tmp_path)[0].count("### psnr [dB]") == 1
+
+
 def test_the_csv_has_the_paired_difference(folder):
     keys = ["metric", "scene", "target_spp", "method"]
     row = pd.read_csv(folder / "summary.csv").set_index(keys).loc[("psnr", "all", 1.0, "oidn")]
