@@ -32,7 +32,7 @@ if TYPE_CHECKING:
 
 __all__ = ["Difference", "draw_differences", "find_difference", "large_difference", "write"]
 
-USUAL = ("ours", "ours/A1")  # learned by reward, and by an approximate gradient, as in the paper
+USUAL = ("ours", "ours/A1")  # learned by reward, and by a surrogate gradient, as in the paper
 MAX_SCENES = 4
 COLOURS = "RdBu_r"  # Harrower and Brewer 2003: safe for colour-blind readers; red is worse
 BETTER, NEITHER, WORSE = "#2166AC", "#F2F2F2", "#B2182B"  # its ends

@@ -31,7 +31,7 @@ __all__ = ["BASE", "PARTS", "write"]
 BASE = "ours"
 PARTS = {  # row: what BASE has and the row lacks, or has in its place
     "ours/by-rule": "the learned correction of the density",
-    "ours/A1": "rewards, beside the approximate gradient",
+    "ours/A1": "rewards, beside the surrogate gradient",
     "ours/A2": "the density, learned and by rule, against uniform samples",
     "accumulate/tuned": "the correction; a denoiser that reads last image and statistics",
     "accumulate/contrast": "these, and a denoiser that knows accumulated light",
