@@ -21,7 +21,7 @@ from rlbench.system import code_hash, provenance
 
 __all__ = ["CellIds"]
 
-SCORING = ("rlbench.benchmark.scoring",)  # images to numbers
+SCORING = ("rlbench.benchmark.ground_truth_cache", "rlbench.benchmark.scoring")  # images to numbers
 TIMING = (
     "rlbench.benchmark.clock",
     "rlbench.benchmark.cost",

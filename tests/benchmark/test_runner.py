@@ -43,6 +43,17 @@ def cell_ids(plan: RunPlan) -> list[CellId]:
     return [ids.cell_id(cell) for cell in resolve_cells(plan)]
 
 
+def change_code(monkeypatch: pytest.MonkeyPatch, module: str) -> None:
+    """Let a module have another code hash."""
+    sources = code_hash._sources
+
+    def changed(name: str) -> list[tuple[str, Path]]:
+        files = sources(name)
+        return [(f"{file}, changed", path) for file, path in files] if name == module else files
+
+    monkeypatch.setattr(code_hash, "_sources", changed)
+
+
 def scores(results: Path) -> list[tuple]:
     """All rows but times and what the clock says of them, without the run id."""
     rows = table.read(results)
@@ -710,14 +721,17 @@ def test_a_score_on_a_training_clip_has_a_note_that_it_is_no_test(tmp_path, name
 )
 def test_the_code_of_ours_decides_its_content_hash(clip_folder, monkeypatch, part):
     plan = run_plan(clip_folder, "ours")
-    before, sources = cell_ids(plan), code_hash._sources
-
-    def changed(name: str) -> list[tuple[str, Path]]:
-        files = sources(name)
-        return [(f"{file}, changed", path) for file, path in files] if name == part else files
-
-    monkeypatch.setattr(code_hash, "_sources", changed)
+    before = cell_ids(plan)
+    change_code(monkeypatch, part)
     assert cell_ids(plan) != before
+
+
+def test_the_code_that_makes_the_ground_truth_decides_scores(clip_folder, monkeypatch):
+    plan = run_plan(clip_folder)
+    (before,) = cell_ids(plan)
+    change_code(monkeypatch, "rlbench.benchmark.ground_truth_cache")
+    (after,) = cell_ids(plan)
+    assert not after.has_scores_of(before)
 
 
 def test_the_rows_of_a_plan_are_those_of_its_cells_alone(clip_folder, tmp_path):
