@@ -42,9 +42,10 @@ class CellIds:
 
     def cell_id(self, cell: ResolvedCell) -> CellId:
         """The cell's key, and the hashes of its scores and times."""
-        plan, method = self.plan, cell.method
+        plan, method, header = self.plan, cell.method, cell.header
         content = (
             *(method.name, _clip_content(cell)),
+            *(header.cuts, header.light_changes, header.noise_ceiling_db, header.limitations),
             *(cell.target_spp, cell.seed, cell.key.device),
             *(self.code_hashes[method.name], self.weights_hashes[method.name], self._metrics),
             *(plan.limit_frames, torch.__version__, cell.is_trained_on_clip),

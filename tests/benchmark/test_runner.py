@@ -24,7 +24,7 @@ from rlbench.benchmark.clip_sources import StoredSource, max_samples_needed
 from rlbench.benchmark.resolve import resolve_cells, resolve_method
 from rlbench.benchmark.run_plan import RunPlan
 from rlbench.benchmark.runner import RunSummary, measure, read_cells
-from rlbench.clips.stored import open_clip
+from rlbench.clips.stored import open_clip, read_header, write_header
 from rlbench.errors import OptionError
 from rlbench.system import code_hash, provenance
 from rlbench.weights import card_path
@@ -724,6 +724,25 @@ def test_the_code_of_ours_decides_its_content_hash(clip_folder, monkeypatch, par
     before = cell_ids(plan)
     change_code(monkeypatch, part)
     assert cell_ids(plan) != before
+
+
+@pytest.mark.parametrize(
+    ("field", "metric", "values"),
+    [
+        ({"cuts": (1,)}, "event_cut", [1.0]),
+        ({"light_changes": (2,)}, "event_light", [1.0]),
+        ({"noise_ceiling_db": (40.0, 41.0, 42.0)}, table.NOISE_CEILING, [40.0, 41.0, 42.0]),
+    ],
+)
+def test_events_and_ceilings_that_a_clip_gets_later_get_their_rows(
+    clip_folder, tmp_path, field, metric, values
+):
+    measure(run_plan(clip_folder), tmp_path / "r", scores_only=True)
+    write_header(clip_folder, replace(read_header(clip_folder), **field))
+    done = measure(run_plan(clip_folder), tmp_path / "r", scores_only=True)
+    assert done == RunSummary(measured=1)
+    rows = table.read(tmp_path / "r").sort_values("frame")
+    assert rows[rows["metric"] == metric]["value"].tolist() == values
 
 
 def test_the_code_that_makes_the_ground_truth_decides_scores(clip_folder, monkeypatch):
