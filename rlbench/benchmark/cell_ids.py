@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from functools import cached_property
 from hashlib import sha256
+from itertools import product
 from pathlib import Path
 
 import torch
@@ -30,6 +31,8 @@ TIMING = (
     "rlbench.benchmark.scatter",
     "rlbench.benchmark.time_rows",
     "rlbench.benchmark.timing_cache",
+    "rlbench.render.jobs.scatter",
+    "rlbench.render.mitsuba.tracer",
     "rlbench.system.memory",
 )  # modules that measure times
 
@@ -123,6 +126,15 @@ class CellIds:
         return code_hash.code_hash(TIMING, core=())
 
     @cached_property
+    def _tracing(self) -> dict[tuple[str, str], str]:
+        """What times a sample of each clip and pool here; empty where the header has its time."""
+        pools = {method.traits.pool for method in self._methods}
+        return {
+            (clip.header.name, pool): cost.tracing(clip.header, self._machine, pool)
+            for clip, pool in product(self.plan.clips, pools)
+        }
+
+    @cached_property
     def _metrics(self) -> str:
         """Names of the run's metrics, hash of their code and of `SCORING`, and package versions."""
         metrics = registry.load_run_metrics()
@@ -143,7 +155,8 @@ class CellIds:
         gbuffer = (header.gbuffer_ms, header.sample_ms) if cell.traits.inputs else ()
         if self.plan.cost == cost.MEASURED:
             spread = header.sample_p5_ms, header.sample_p95_ms, header.tracer_of_times
-            return header.sample_ms_of(pool), header.device, self._machine, spread, gbuffer
+            tracing = self._machine, self._tracing[header.name, pool]
+            return header.sample_ms_of(pool), header.device, *tracing, spread, gbuffer
         if pool == "path":
             return gbuffer
         return header.sample_ms_of(pool), header.sample_ms_of("path"), header.device, gbuffer

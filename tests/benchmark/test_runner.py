@@ -26,6 +26,7 @@ from rlbench.benchmark.run_plan import RunPlan
 from rlbench.benchmark.runner import RunSummary, measure, read_cells
 from rlbench.clips.stored import open_clip, read_header, write_header
 from rlbench.errors import OptionError
+from rlbench.render.mitsuba import open_tracer
 from rlbench.system import code_hash, provenance
 from rlbench.weights import card_path
 from tests.conftest import write_noise, write_plugin
@@ -660,6 +661,48 @@ def test_samples_are_charged_again_on_another_machine(clip_folder, monkeypatch):
         monkeypatch.setattr(latency, "device_name", lambda device: "gpu")
         ids |= set(cell_ids(plan))
     assert len(ids) == 2
+
+
+@pytest.mark.parametrize("part", ["rlbench.render.jobs.scatter", "rlbench.render.mitsuba.tracer"])
+def test_new_code_that_measures_scattered_samples_times_cells_again(clip_folder, monkeypatch, part):
+    plan = run_plan(clip_folder)
+    (before,) = cell_ids(plan)
+    change_code(monkeypatch, part)
+    (after,) = cell_ids(plan)
+    assert after.has_scores_of(before)
+    assert after.times_hash != before.times_hash
+
+
+@pytest.mark.parametrize("is_local", [False, True])
+def test_samples_that_are_traced_here_are_timed_again_by_another_tracer_or_scene(
+    tmp_path, monkeypatch, is_local
+):
+    device = provenance.machine().name if is_local else "another machine"
+    plan = run_plan(write_noise(tmp_path / "noise", scene="temple", device=device))
+    ids = []
+    for threads in (1, 2, 2):
+        tracer = f"llvm_ad_rgb, {threads} threads"
+        monkeypatch.setattr(open_tracer, "describe_tracer", lambda tracer=tracer: tracer)
+        ids += cell_ids(plan)
+    change_code(monkeypatch, registry.list_entries("scenes")["temple"].target.partition(":")[0])
+    ids += cell_ids(plan)
+    one, two, again, changed = ids
+    assert all(each.has_scores_of(one) for each in ids)
+    assert two == again
+    assert (one == two == changed) == is_local
+    assert (len({one, two, changed}) == 3) == (not is_local)
+
+
+def test_a_machine_without_a_tracer_has_an_identity_of_its_times(tmp_path, monkeypatch):
+    def fail():
+        raise ImportError("no tracer")
+
+    plan = run_plan(write_noise(tmp_path / "noise", scene="temple"))
+    monkeypatch.setattr(open_tracer, "describe_tracer", lambda: "llvm_ad_rgb, 2 threads")
+    (traced,) = cell_ids(plan)
+    monkeypatch.setattr(open_tracer, "describe_tracer", fail)
+    (untraced,) = cell_ids(plan)
+    assert untraced.times_hash not in ("", traced.times_hash)
 
 
 @pytest.mark.parametrize("side", [9, 11])
