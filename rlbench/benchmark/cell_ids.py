@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from functools import cached_property
 from hashlib import sha256
+from itertools import product
 from pathlib import Path
 
 import torch
@@ -21,7 +22,7 @@ from rlbench.system import code_hash, provenance
 
 __all__ = ["CellIds"]
 
-SCORING = ("rlbench.benchmark.scoring",)  # images to numbers
+SCORING = ("rlbench.benchmark.ground_truth_cache", "rlbench.benchmark.scoring")  # images to numbers
 TIMING = (
     "rlbench.benchmark.clock",
     "rlbench.benchmark.cost",
@@ -30,6 +31,8 @@ TIMING = (
     "rlbench.benchmark.scatter",
     "rlbench.benchmark.time_rows",
     "rlbench.benchmark.timing_cache",
+    "rlbench.render.jobs.scatter",
+    "rlbench.render.mitsuba.tracer",
     "rlbench.system.memory",
 )  # modules that measure times
 
@@ -42,9 +45,10 @@ class CellIds:
 
     def cell_id(self, cell: ResolvedCell) -> CellId:
         """The cell's key, and the hashes of its scores and times."""
-        plan, method = self.plan, cell.method
+        plan, method, header = self.plan, cell.method, cell.header
         content = (
             *(method.name, _clip_content(cell)),
+            *(header.cuts, header.light_changes, header.noise_ceiling_db, header.limitations),
             *(cell.target_spp, cell.seed, cell.key.device),
             *(self.code_hashes[method.name], self.weights_hashes[method.name], self._metrics),
             *(plan.limit_frames, torch.__version__, cell.is_trained_on_clip),
@@ -122,6 +126,15 @@ class CellIds:
         return code_hash.code_hash(TIMING, core=())
 
     @cached_property
+    def _tracing(self) -> dict[tuple[str, str], str]:
+        """What times a sample of each clip and pool here; empty where the header has its time."""
+        pools = {method.traits.pool for method in self._methods}
+        return {
+            (clip.header.name, pool): cost.tracing(clip.header, self._machine, pool)
+            for clip, pool in product(self.plan.clips, pools)
+        }
+
+    @cached_property
     def _metrics(self) -> str:
         """Names of the run's metrics, hash of their code and of `SCORING`, and package versions."""
         metrics = registry.load_run_metrics()
@@ -142,7 +155,8 @@ class CellIds:
         gbuffer = (header.gbuffer_ms, header.sample_ms) if cell.traits.inputs else ()
         if self.plan.cost == cost.MEASURED:
             spread = header.sample_p5_ms, header.sample_p95_ms, header.tracer_of_times
-            return header.sample_ms_of(pool), header.device, self._machine, spread, gbuffer
+            tracing = self._machine, self._tracing[header.name, pool]
+            return header.sample_ms_of(pool), header.device, *tracing, spread, gbuffer
         if pool == "path":
             return gbuffer
         return header.sample_ms_of(pool), header.sample_ms_of("path"), header.device, gbuffer

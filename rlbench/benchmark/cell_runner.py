@@ -14,7 +14,7 @@ from rlbench.benchmark.cell_ids import CellIds
 from rlbench.benchmark.cell_images import CellImages, KeptFrame
 from rlbench.benchmark.cell_loader import CellLoader
 from rlbench.benchmark.clip_sources import samples_at_cap
-from rlbench.benchmark.ground_truth_cache import GroundTruthCache
+from rlbench.benchmark.ground_truth_cache import GroundTruthCache, buffers_of_truth
 from rlbench.benchmark.resolve import ResolvedCell
 from rlbench.benchmark.results import CellKey, Row
 from rlbench.benchmark.run_plan import RunPlan
@@ -113,8 +113,7 @@ class CellRunner:
         return refusal_row(self.templates[cell.key], reason)
 
     def _measure(self, cell: ResolvedCell, method: Method) -> CellOutput:
-        needs = frozenset().union(*(metric.needs for metric in self.metrics))
-        clip = self.truths.open(self.loader.clip(cell, scored_buffers=needs & {"motion"}))
+        clip = self.truths.open(self.loader.clip(cell, buffers_of_truth(self.metrics)))
         template = replace(self.templates[cell.key], config=config_json(method))
         remarks, rows, frames, counts = self._remarks(cell), [], [], []
         max_samples = samples_at_cap(cell.traits, cell.pool_spp)

@@ -31,6 +31,7 @@ __all__ = [
     "profile",
     "profiles",
     "published",
+    "tracing",
     "with_gbuffer",
 ]
 
@@ -110,6 +111,23 @@ def measured(header: Header, machine: str, pool: str = "path") -> Cost:
         )
         return Cost(math.nan, convention, reason, machine)
     return Cost(sample_ms, f"{convention}, {tracer}", note, _device(tracer, machine))
+
+
+def tracing(header: Header, machine: str, pool: str) -> str:
+    """The tracer and the code by which `measured` times a sample here, for the identity of a cell.
+
+    Empty where it takes the time in the clip's header, and where the scene is not installed. Where
+    there is no tracer, the type of its error.
+    """
+    is_known = header.device == machine and math.isfinite(header.sample_ms_of(pool))
+    if is_known or header.scene not in registry.list_entries("scenes"):
+        return ""
+    try:
+        from rlbench.render.mitsuba.open_tracer import describe_tracer
+
+        return f"{describe_tracer()} {_code(header.scene)}"
+    except Exception as error:  # `measured` gives the reason in its note
+        return type(error).__name__
 
 
 def with_gbuffer(cost: Cost, path_ms: float, header: Header) -> Cost:

@@ -14,7 +14,11 @@ from rlbench.system import code_hash, provenance
 
 __all__ = ["EvaluatedMetric", "select_metrics"]
 
-SCORING = ("rlbench.benchmark.evaluation", "rlbench.benchmark.scoring")  # images to numbers
+SCORING = (
+    "rlbench.benchmark.evaluation",
+    "rlbench.benchmark.ground_truth_cache",
+    "rlbench.benchmark.scoring",
+)  # images to numbers
 OF_RUNS = "srgb"  # the convention in which a run scores
 
 

@@ -23,7 +23,7 @@ from rlbench.benchmark.cell_images import KeptImages
 from rlbench.benchmark.cell_key import FAILED, CellId
 from rlbench.benchmark.clip_sources import StoredSource
 from rlbench.benchmark.evaluated_metrics import EvaluatedMetric
-from rlbench.benchmark.ground_truth_cache import make_ground_truth
+from rlbench.benchmark.ground_truth_cache import buffers_of_truth, make_ground_truth
 from rlbench.benchmark.results import WHOLE_CLIP, Row
 from rlbench.benchmark.scoring import compare_frame, refusal_row, score_clip, score_frame
 from rlbench.clips.header import Header
@@ -224,8 +224,7 @@ def _compare_frames(
     kept: KeptCell, metrics: Sequence[EvaluatedMetric]
 ) -> Iterator[tuple[FrameResult, Any]]:
     """Each frame as a run would have handed it to metrics; no sample is read from the clip."""
-    needs = {name for each in metrics for name in each.metric.needs}
-    inputs = frozenset(needs & {"motion"} & set(kept.header.buffers))
+    inputs = buffers_of_truth(each.metric for each in metrics) & set(kept.header.buffers)
     clip = open_clip(kept.clip.folder, inputs, max_samples=1, pool=kept.images.pool)
     metric, compared = metrics[0].metric, None
     no_samples = torch.zeros(1, 1, 3, kept.header.height, kept.header.width)

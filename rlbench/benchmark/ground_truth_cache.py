@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, field
 from functools import partial
 from typing import Any
@@ -12,9 +12,14 @@ from rlbench.clips.wrapper import ClipWrapper
 from rlbench.frames import Clip, Frame
 from rlbench.ops.sanitize import sanitize_motion
 
-__all__ = ["ClipWithTruth", "GroundTruthCache", "make_ground_truth"]
+__all__ = ["ClipWithTruth", "GroundTruthCache", "buffers_of_truth", "make_ground_truth"]
 
 MAX_PIXELS = 2**21  # of all frames of a clip that is kept: about 0.3 GB
+
+
+def buffers_of_truth(metrics: Iterable[Any]) -> frozenset[str]:
+    """The buffers that the ground truth holds for these `metrics.metric.Metric`."""
+    return frozenset({"motion"}).intersection(name for each in metrics for name in each.needs)
 
 
 def make_ground_truth(metric: Any, frame: Frame) -> Any:

@@ -119,21 +119,36 @@ class TimingCache:
                 path = price if pool == "path" else self._sample_cost(cell, "path")
                 price = cost.with_gbuffer(price, path.sample_ms, header)
             self._costs[key] = price
-        return replace(self._costs[key], scatter=self._scatters.get(self.key(cell), FULL_FRAME))
+        shared, own = self._scatter_keys(cell)
+        scatter = self._scatters.get(own) or self._scatters.get(shared, FULL_FRAME)
+        return replace(self._costs[key], scatter=scatter)
 
     def _measure_costs(self, cells: Sequence[ResolvedCell]) -> None:
         """Measure what samples cost at the counts of adaptive methods, and all other costs.
 
-        The factor of a method at a budget is that of one clip, as its time is. A cost profile has
-        no such factor, and samples of other pools are not traced one by one.
+        The factor of a method at a budget is that of one clip, as its time is. A clip without a
+        factor has a note of its own, which is no other clip's. A cost profile has no such factor,
+        and samples of other pools are not traced one by one.
         """
         meter = ScatterMeter(self.loader)
         for cell in cells:
             self.cost(cell)
             is_scattered = cell.traits.adaptive and cell.traits.pool == "path"
-            if self.profile is None and is_scattered and self.key(cell) not in self._scatters:
+            if self.profile is None and is_scattered:
                 with registry.exits_as_errors():
-                    self._scatters[self.key(cell)] = meter.measure(cell)
+                    self._measure_scatter(cell, meter)
+
+    def _measure_scatter(self, cell: ResolvedCell, meter: ScatterMeter) -> None:
+        shared, own = self._scatter_keys(cell)
+        is_shared = shared in self._scatters and meter.has_scene(cell)
+        if not is_shared and own not in self._scatters:
+            measured = meter.measure(cell)
+            self._scatters[own if measured.note else shared] = measured
+
+    def _scatter_keys(self, cell: ResolvedCell) -> tuple[TimingKey, TimingKey]:
+        """The key of a factor, and that of the note of a clip that has none."""
+        shared = self.key(cell)
+        return shared, (*shared, cell.header.name)
 
     def _sample_cost(self, cell: ResolvedCell, pool: str) -> Cost:
         if self.profile:

@@ -23,7 +23,7 @@ from rlbench.benchmark.evaluation import (
 )
 from rlbench.benchmark.runner import measure
 from rlbench.clips.stored import open_clip
-from tests.benchmark.test_runner import run_plan
+from tests.benchmark.test_runner import change_code, run_plan
 from tests.conftest import write_noise, write_plugin
 
 HALF_DB = 0.01  # what half floats may change, see test_cell_images
@@ -92,6 +92,12 @@ def test_scored_cells_are_not_scored_again_and_new_metrics_are(results, clip_fol
     assert score(results, clip_folder, "psnr", "relmse") == EvaluationSummary(scored=4, cached=4)
     after = {file.name: file.stat().st_mtime_ns for file in (results / "evaluated").iterdir()}
     assert before.items() <= after.items()
+
+
+def test_new_code_of_the_ground_truth_replaces_scores(results, clip_folder, monkeypatch):
+    score(results, clip_folder, "psnr")
+    change_code(monkeypatch, "rlbench.benchmark.ground_truth_cache")
+    assert score(results, clip_folder, "psnr") == EvaluationSummary(scored=4)
 
 
 def test_new_code_of_a_metric_replaces_its_scores_alone(results, clip_folder):

@@ -24,8 +24,9 @@ from rlbench.benchmark.clip_sources import StoredSource, max_samples_needed
 from rlbench.benchmark.resolve import resolve_cells, resolve_method
 from rlbench.benchmark.run_plan import RunPlan
 from rlbench.benchmark.runner import RunSummary, measure, read_cells
-from rlbench.clips.stored import open_clip
+from rlbench.clips.stored import open_clip, read_header, write_header
 from rlbench.errors import OptionError
+from rlbench.render.mitsuba import open_tracer
 from rlbench.system import code_hash, provenance
 from rlbench.weights import card_path
 from tests.conftest import write_noise, write_plugin
@@ -41,6 +42,17 @@ def run_plan(folder: Path, *methods: str, **options: object) -> RunPlan:
 def cell_ids(plan: RunPlan) -> list[CellId]:
     ids = CellIds(plan)
     return [ids.cell_id(cell) for cell in resolve_cells(plan)]
+
+
+def change_code(monkeypatch: pytest.MonkeyPatch, module: str) -> None:
+    """Let a module have another code hash."""
+    sources = code_hash._sources
+
+    def changed(name: str) -> list[tuple[str, Path]]:
+        files = sources(name)
+        return [(f"{file}, changed", path) for file, path in files] if name == module else files
+
+    monkeypatch.setattr(code_hash, "_sources", changed)
 
 
 def scores(results: Path) -> list[tuple]:
@@ -651,6 +663,48 @@ def test_samples_are_charged_again_on_another_machine(clip_folder, monkeypatch):
     assert len(ids) == 2
 
 
+@pytest.mark.parametrize("part", ["rlbench.render.jobs.scatter", "rlbench.render.mitsuba.tracer"])
+def test_new_code_that_measures_scattered_samples_times_cells_again(clip_folder, monkeypatch, part):
+    plan = run_plan(clip_folder)
+    (before,) = cell_ids(plan)
+    change_code(monkeypatch, part)
+    (after,) = cell_ids(plan)
+    assert after.has_scores_of(before)
+    assert after.times_hash != before.times_hash
+
+
+@pytest.mark.parametrize("is_local", [False, True])
+def test_samples_that_are_traced_here_are_timed_again_by_another_tracer_or_scene(
+    tmp_path, monkeypatch, is_local
+):
+    device = provenance.machine().name if is_local else "another machine"
+    plan = run_plan(write_noise(tmp_path / "noise", scene="temple", device=device))
+    ids = []
+    for threads in (1, 2, 2):
+        tracer = f"llvm_ad_rgb, {threads} threads"
+        monkeypatch.setattr(open_tracer, "describe_tracer", lambda tracer=tracer: tracer)
+        ids += cell_ids(plan)
+    change_code(monkeypatch, registry.list_entries("scenes")["temple"].target.partition(":")[0])
+    ids += cell_ids(plan)
+    one, two, again, changed = ids
+    assert all(each.has_scores_of(one) for each in ids)
+    assert two == again
+    assert (one == two == changed) == is_local
+    assert (len({one, two, changed}) == 3) == (not is_local)
+
+
+def test_a_machine_without_a_tracer_has_an_identity_of_its_times(tmp_path, monkeypatch):
+    def fail():
+        raise ImportError("no tracer")
+
+    plan = run_plan(write_noise(tmp_path / "noise", scene="temple"))
+    monkeypatch.setattr(open_tracer, "describe_tracer", lambda: "llvm_ad_rgb, 2 threads")
+    (traced,) = cell_ids(plan)
+    monkeypatch.setattr(open_tracer, "describe_tracer", fail)
+    (untraced,) = cell_ids(plan)
+    assert untraced.times_hash not in ("", traced.times_hash)
+
+
 @pytest.mark.parametrize("side", [9, 11])
 def test_a_clip_too_small_for_one_metric_has_scores_of_the_others(tmp_path, side):
     measure(run_plan(write_noise(tmp_path / "small", h=side, w=24)), tmp_path / "r")
@@ -710,14 +764,36 @@ def test_a_score_on_a_training_clip_has_a_note_that_it_is_no_test(tmp_path, name
 )
 def test_the_code_of_ours_decides_its_content_hash(clip_folder, monkeypatch, part):
     plan = run_plan(clip_folder, "ours")
-    before, sources = cell_ids(plan), code_hash._sources
-
-    def changed(name: str) -> list[tuple[str, Path]]:
-        files = sources(name)
-        return [(f"{file}, changed", path) for file, path in files] if name == part else files
-
-    monkeypatch.setattr(code_hash, "_sources", changed)
+    before = cell_ids(plan)
+    change_code(monkeypatch, part)
     assert cell_ids(plan) != before
+
+
+@pytest.mark.parametrize(
+    ("field", "metric", "values"),
+    [
+        ({"cuts": (1,)}, "event_cut", [1.0]),
+        ({"light_changes": (2,)}, "event_light", [1.0]),
+        ({"noise_ceiling_db": (40.0, 41.0, 42.0)}, table.NOISE_CEILING, [40.0, 41.0, 42.0]),
+    ],
+)
+def test_events_and_ceilings_that_a_clip_gets_later_get_their_rows(
+    clip_folder, tmp_path, field, metric, values
+):
+    measure(run_plan(clip_folder), tmp_path / "r", scores_only=True)
+    write_header(clip_folder, replace(read_header(clip_folder), **field))
+    done = measure(run_plan(clip_folder), tmp_path / "r", scores_only=True)
+    assert done == RunSummary(measured=1)
+    rows = table.read(tmp_path / "r").sort_values("frame")
+    assert rows[rows["metric"] == metric]["value"].tolist() == values
+
+
+def test_the_code_that_makes_the_ground_truth_decides_scores(clip_folder, monkeypatch):
+    plan = run_plan(clip_folder)
+    (before,) = cell_ids(plan)
+    change_code(monkeypatch, "rlbench.benchmark.ground_truth_cache")
+    (after,) = cell_ids(plan)
+    assert not after.has_scores_of(before)
 
 
 def test_the_rows_of_a_plan_are_those_of_its_cells_alone(clip_folder, tmp_path):

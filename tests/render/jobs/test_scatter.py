@@ -74,6 +74,7 @@ def cell(folder, method):
 def test_a_real_scene_has_a_factor_near_one(folder):
     """384 pixels: fixed costs of a launch and other load leave no more than the order."""
     meter, adaptive = cell(folder, "ours/by-rule")
+    assert meter.has_scene(adaptive)
     measured = meter.measure(adaptive)
     assert measured.note == ""
     assert 0.1 < measured.factor < 10
@@ -83,6 +84,7 @@ def test_a_real_scene_has_a_factor_near_one(folder):
 
 def test_a_clip_without_its_scene_charges_samples_of_a_full_frame_and_says_why(tmp_path):
     meter, adaptive = cell(write_noise(tmp_path / "noise"), "ours/by-rule")
+    assert not meter.has_scene(adaptive)
     measured = meter.measure(adaptive)
     assert measured.factor == FULL_FRAME.factor == 1.0
     assert measured.note.startswith("scattered samples cost as those of a full frame: ")
