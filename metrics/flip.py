@@ -29,11 +29,12 @@ Range = Literal["LDR", "HDR"]
 # 0.7 m from a display of 3840 pixels on 0.7 m, the viewing conditions of the paper
 PIXELS_PER_DEGREE = 0.7 * 3840 / 0.7 * math.pi / 180
 TIME_LIMIT_S = 120.0  # of one image; a 4K pair takes some seconds
+REFUSED = 255  # exit code of the child where the package calls exit(-1)
 HALF_MAX = 65504.0  # largest half float, the brightest value in a clip's EXR files
 
 
 class FlipError(RuntimeError):
-    """The child process crashed, or took too long, while it scored an image."""
+    """The package raised an error, or the child process crashed or took too long."""
 
 
 class FlipRefusedError(FlipError):
@@ -55,11 +56,14 @@ class FlipProcess:
         try:
             pipe.send((reference, image, dynamic_range))
             if pipe.poll(self.time_limit_s):
-                return float(pipe.recv())
+                answer = pipe.recv()
+                if isinstance(answer, str):
+                    raise FlipError(f"flip-evaluator failed on {what}: {answer}")
+                return float(answer)
         except (EOFError, ConnectionError) as error:
             code = self._child.wait() if self._child else None
             self.stop()
-            if code and code > 0:  # the package calls exit(-1); a crash is a signal, below zero
+            if code == REFUSED:
                 raise FlipRefusedError(
                     f"flip-evaluator refused {what}: exit code {code}"
                 ) from error
@@ -106,10 +110,14 @@ def serve(descriptor: int) -> None:
         except (EOFError, KeyboardInterrupt):
             return
         parameters = {"ppd": PIXELS_PER_DEGREE}
-        scored = flip_evaluator.evaluate(
-            reference, image, dynamic_range, applyMagma=False, parameters=parameters
-        )
-        pipe.send(scored[1])
+        try:
+            scored = flip_evaluator.evaluate(
+                reference, image, dynamic_range, applyMagma=False, parameters=parameters
+            )
+        except Exception as error:  # the text is raised where the score was asked for
+            pipe.send(f"{type(error).__name__}: {error}")
+        else:
+            pipe.send(scored[1])
 
 
 @cache

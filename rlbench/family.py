@@ -14,7 +14,8 @@ class Traits:
 
     The pilot is part of the budget: with pilot_spp=1 and a budget of 4 spp, the method places the
     other 3; at a budget of 1 spp, the pilot takes everything. `passes` are cumulative shares of the
-    budget and include the pilot.
+    budget and include the pilot; one that ends below the pilot adds no samples. With
+    `discard_pilot`, `min_samples` counts the samples of the last pass alone.
 
     A method with a `receptive_field` of r computes a pixel of its image and of its next state from
     the buffers, samples and state of the pixels at most r away, along both axes, and from nothing
@@ -61,9 +62,16 @@ class Traits:
         'supports 1 to 8 spp, requested 0.5'
         """
         low, high = self.spp_range
-        if low <= spp <= high:
-            return None
-        return f"supports {low:g} to {high:g} spp, requested {spp:g}"
+        if not low <= spp <= high:
+            return f"supports {low:g} to {high:g} spp, requested {spp:g}"
+        discarded = max(self.pilot_spp, *(share * spp for share in (0.0, *self.passes[:-1])))
+        if self.discard_pilot and round(spp - discarded, 6) < self.min_samples:
+            left = max(spp - discarded, 0.0)
+            return (
+                f"discards {min(discarded, spp):g} of {spp:g} spp, and the {left:g} left cannot "
+                f"pay for min_samples of {self.min_samples}"
+            )
+        return None
 
 
 @dataclass(frozen=True)

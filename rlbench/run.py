@@ -55,14 +55,17 @@ def unroll(
     state = method.start(clip.size)
     for frame in clip:
         gbuffer, pool, repairs = read(frame, traits.inputs)
-        samples = draw_pilot(pool, min(traits.pilot_spp, spp))
+        drawn_spp = min(traits.pilot_spp, spp)
+        samples = draw_pilot(pool, drawn_spp)
         for share in traits.passes:
             previous = samples
             density = checked_density(method, gbuffer, previous, state)
-            limits = _count_limits(traits, spp, share)
+            total_spp = max(spp * share, drawn_spp)
+            limits = _count_limits(traits, share, total_spp, drawn_spp)
             samples = draw_samples(
-                pool, previous, density, spp * share, *limits, traits.discard_pilot
+                pool, previous, density, total_spp, *limits, traits.discard_pilot
             )
+            drawn_spp = total_spp
         visible = samples.since(previous) if traits.discard_pilot else samples
         image, state = method.denoise(gbuffer, visible, state)
         yield FrameResult(frame, samples, image, repairs, state)
@@ -89,11 +92,14 @@ def run_clip(
     yield from unroll(method, clip, spp, read)
 
 
-def _count_limits(traits: Traits, spp: float, share: float) -> tuple[int, int | None]:
+def _count_limits(
+    traits: Traits, share: float, total_spp: float, drawn_spp: float
+) -> tuple[int, int | None]:
     """Least and most samples of one pixel after the pass that ends at `share` of the budget.
 
     An early pass that cannot pay for `min_samples` everywhere gives no pixel more than that, so
     that the later passes can still pay for the rest.
     """
-    below_floor = share < 1 and spp * share < traits.min_samples
+    counted_spp = total_spp - drawn_spp if traits.discard_pilot else total_spp
+    below_floor = share < 1 and counted_spp < traits.min_samples
     return (0, traits.min_samples) if below_floor else (traits.min_samples, traits.max_samples)

@@ -158,6 +158,43 @@ def test_a_budget_up_to_the_pilot_is_uniform(spp):
     assert int(counts.max()) == 1
 
 
+@pytest.mark.parametrize("discard_pilot", [False, True])
+@pytest.mark.parametrize("min_samples", [0, 1, 2])
+@pytest.mark.parametrize(("pilot_spp", "spp"), [(0.5, 2.4), (1.0, 3.0), (1.5, 4.0), (2.0, 8.0)])
+@pytest.mark.parametrize("passes", [(0.25, 1.0), (0.5, 1.0), (0.25, 0.375, 1.0)])
+def test_every_pilot_goes_with_all_passes(discard_pilot, min_samples, pilot_spp, spp, passes):
+    traits = Traits(
+        adaptive=True,
+        pilot_spp=pilot_spp,
+        passes=passes,
+        min_samples=min_samples,
+        discard_pilot=discard_pilot,
+    )
+    if reason := traits.unsupported_reason(spp):
+        assert discard_pilot
+        assert f"cannot pay for min_samples of {min_samples}" in reason
+        with pytest.raises(BudgetError):
+            next(run_clip(Peaked(traits), procedural_clip(size=SIZE, pool_spp=64), spp))
+    else:
+        result = next(run_clip(Peaked(traits), procedural_clip(size=SIZE, pool_spp=64), spp))
+        assert int(result.samples.counts.sum()) == round(spp * 99)
+        assert int(result.samples.counts.min()) >= min_samples
+
+
+@pytest.mark.parametrize("spp", [0.5, 1.0, 1.5, 2.0])
+def test_a_pass_that_ends_below_the_pilot_adds_no_samples(spp):
+    calls = recorded_calls(Traits(pilot_spp=1.0, passes=(0.25, 1.0)), spp, frames=1)
+    pilot, whole = round(min(spp, 1.0) * 99), round(spp * 99)
+    assert calls[1:] == [("plan", pilot, 0), ("plan", pilot, 0), ("denoise", whole, 0)]
+
+
+def test_a_budget_that_a_discarded_pilot_takes_from_the_minimum_is_refused():
+    traits = Traits(adaptive=True, pilot_spp=1.0, discard_pilot=True, min_samples=1)
+    reason = "discards 1 of 1 spp, and the 0 left cannot pay for min_samples of 1"
+    assert traits.unsupported_reason(1.0) == reason
+    assert traits.unsupported_reason(2.0) is None
+
+
 def test_the_samples_after_a_pilot_include_it():
     (result,) = run_clip(
         Peaked(Traits(adaptive=True, pilot_spp=2.0)), procedural_clip(size=SIZE, frames=1), 3.0

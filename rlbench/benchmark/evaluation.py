@@ -142,14 +142,15 @@ def _evaluate(
     scored, cached, failures = 0, 0, []
     for kept in cells:
         ids = {each: _cell_id(kept, each) for each in metrics}
-        due = [each for each in metrics if ids[each] not in stored]
+        due, current = [each for each in metrics if ids[each] not in stored], set(ids.values())
         cached += len(metrics) - len(due)
         for each, rows, reason in _score_cell(kept, due, _template(folder, kept.cell)):
             cell = replace(ids[each], content_hash=FAILED) if reason else ids[each]
             results.write_cell(out, cell, rows)
+            current.add(cell)  # a failure has the file of the failure before
             failures += [f"{cell.key}: {reason}"] if reason else []
             scored += not reason
-        for older in _outdated(stored, kept.cell, set(ids.values())):
+        for older in _outdated(stored, kept.cell, current):
             results.drop_cell(out, older)
         on_cell(kept)
     return EvaluationSummary(scored, cached, tuple(failures))

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-__all__ = ["BF16", "COMPILERS", "CROSSVAL", "RESERVED_LABELS", "TILES", "RowName"]
+__all__ = ["BF16", "COMPILERS", "CROSSVAL", "RESERVED_LABELS", "TILES", "RowName", "RowOptions"]
 
 BF16 = "bf16"  # label of rows whose networks ran in bfloat16
 COMPILERS = ("openvino", "compile")  # backends, labels of rows whose networks they ran
@@ -12,6 +12,16 @@ TILES = "tiles"  # label of rows whose unchanged tiles were kept from the last i
 CROSSVAL = "crossval"  # label of rows whose weights were trained without the row's scene
 OLD_BF16 = "half"  # label of bfloat16 rows in results of schema 1
 RESERVED_LABELS = (BF16, TILES, CROSSVAL, OLD_BF16, *COMPILERS)  # labels that no weights may have
+
+
+@dataclass(frozen=True)
+class RowOptions:
+    """What a label says: the options of `rlbench run` that measured a row."""
+
+    backend: str = "eager"  # that ran the networks
+    bf16: bool = False
+    skip_tiles: bool = False
+    weights: str = ""  # the rest: a name of weights, or crossval; empty for shipped weights
 
 
 @dataclass(frozen=True)
@@ -39,6 +49,21 @@ class RowName:
     def method(self) -> str:
         """The method as on the command line: `family` or `family/variant`."""
         return f"{self.family}/{self.variant}" if self.variant else self.family
+
+    @property
+    def options(self) -> RowOptions:
+        """What the label says, part by part in the order in which a run writes them.
+
+        >>> RowName.parse("ours@openvino-bf16-seed3").options
+        RowOptions(backend='openvino', bf16=True, skip_tiles=False, weights='seed3')
+        """
+        words = self.label.split("-")
+
+        def take(*known: str) -> str:
+            return words.pop(0) if words and words[0] in known else ""
+
+        backend, bf16, tiles = take(*COMPILERS), take(BF16), take(TILES)
+        return RowOptions(backend or "eager", bool(bf16), bool(tiles), "-".join(words))
 
     def __str__(self) -> str:
         """The name as it stands in the results."""

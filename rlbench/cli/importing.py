@@ -57,8 +57,9 @@ def import_(
 
     A layout says which files and channels hold which image, and in which convention; rlbench lint
     --guess SOURCE writes one. What a source lacks (motion, depth, halves of the reference, ...) is
-    replaced, printed and stored in clip.toml. A killed import resumes. Nothing is unpickled, no
-    link out of SOURCE is followed, and images may have up to 8192 x 8192 pixels.
+    replaced, printed and stored in clip.toml. A killed import resumes. --exposure also changes
+    that of a finished one. Nothing is unpickled, no link out of SOURCE is followed, and images may
+    have up to 8192 x 8192 pixels.
 
     Examples:
 
@@ -86,7 +87,12 @@ def import_(
             factor = exposure or writer.estimate_exposure(sequence)
             writer.write_clip(sequence, replace(header, exposure=factor), folder, on_frame)
     for clip in clips:
-        _print_clip(clip[0], clip[2], "imported" if clip in missing else "was imported before")
+        sequence, _, folder = clip
+        status = "imported" if clip in missing else "was imported before"
+        if exposure and clip not in missing:
+            before = writer.change_exposure(sequence, folder, exposure)
+            status += f", its exposure {before:g} is replaced" if before != exposure else ""
+        _print_clip(sequence, folder, status)
 
 
 def _print_clip(sequence: ImportedSequence, folder: Path, status: str) -> None:

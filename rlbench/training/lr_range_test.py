@@ -23,7 +23,7 @@ __all__ = ["LrPoint", "LrRangeResult", "find_learning_rate"]
 
 MIN_LR, MAX_LR = 1e-6, 1e-1  # learning rates of the first and the last sequence
 WINDOW_DECADES = 0.25  # standard deviation of the Gaussian that smooths the losses
-DIVERGENCE_RATIO = 2.0  # the test ends when the smoothed loss is so many times its minimum
+NOISE_MARGIN = 3.0  # a rise counts from so many times the usual step between two losses
 MARGIN = 10.0  # the suggested rate is so many times lower than that of the least loss
 COLUMNS = ("frames", "rate", "loss", "averaged")  # of the table
 
@@ -57,9 +57,11 @@ def find_learning_rate(
     """Train a method from its initial weights over `config.frames`, at rates from 1e-6 to 1e-1.
 
     The rate grows by the same factor with every frame; networks with an lr multiplier keep it. The
-    test ends early if the loss is not finite, or if the smoothed loss is twice its minimum. The
-    suggested rate is a tenth of the rate at which the smoothed loss is least. Writes range.csv and
-    range.png to `out`. `on_progress` is called with progress and loss after each sequence.
+    test ends early if the loss is not finite, or if the smoothed loss has risen by more than it had
+    fallen before, and beyond its noise. That depends on differences alone, because the logarithm of
+    a loss is negative, so that twice its minimum is below it. The suggested rate is a tenth of the
+    rate at which the smoothed loss is least. Writes range.csv and range.png to `out`. `on_progress`
+    is called with progress and loss after each sequence.
 
     Smith 2017, Cyclical Learning Rates for Training Neural Networks, section 3.3. Differs from it:
     the rate grows geometrically, since it spans five decades, and the suggestion is a rule of
@@ -109,11 +111,16 @@ def suggest_lr(points: Sequence[LrPoint]) -> float:
 
 
 def _has_diverged(points: Sequence[LrPoint]) -> bool:
-    """Whether the smoothed loss is far above its minimum, after at least two decades."""
+    """Whether the smoothed loss rose by more than it fell and than noise, after two decades.
+
+    The noise is the median of the steps between successive losses, which one jump does not change.
+    """
     if not points or points[-1].learning_rate < 100 * MIN_LR:
         return False
     smooth = smooth_losses(points)
-    return smooth[-1] > DIVERGENCE_RATIO * min(smooth)
+    fall, rise = smooth[0] - min(smooth), smooth[-1] - min(smooth)
+    noise = float(np.median(np.abs(np.diff([point.loss for point in points]))))
+    return rise > max(fall, NOISE_MARGIN * noise)
 
 
 def _write_table(points: Sequence[LrPoint], out: Path) -> Path:

@@ -157,6 +157,16 @@ def test_a_metric_that_fails_is_a_row_with_the_reason_and_is_tried_again(results
     assert not table.read(results / "evaluated")["value"].isna().any()
 
 
+def test_the_reason_of_a_metric_that_fails_again_stays(results, clip_folder):
+    def fail(comparison):
+        raise ZeroDivisionError("no luck")
+
+    for _ in range(3):
+        failures = score(results, clip_folder, custom("broken", fail)).failures
+        notes = table.read(results / "evaluated")["note"].tolist()
+        assert notes == ["ZeroDivisionError: no luck"] * len(failures) == notes[:1] * 4
+
+
 def test_a_remark_of_the_run_stays_on_scores(clip_folder, tmp_path, monkeypatch):
     monkeypatch.setattr(
         "rlbench.benchmark.cell_runner.CellRunner._remarks", lambda self, cell: "no test"

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import os
 
 import numpy as np
 import pytest
@@ -226,6 +227,25 @@ def test_a_process_that_ends_or_takes_too_long_is_an_error_and_is_started_again(
     with pytest.raises(FlipError, match="took more than 0 s for LDR images of 8x8 pixels"):
         process.mean_error(white, black, "LDR")
     process.stop()
+
+
+def test_an_error_of_the_package_is_no_refusal_and_says_what_it_was():
+    white = np.ones((8, 8, 3), np.float32)
+    process = FlipProcess()
+    with pytest.raises(FlipError, match="failed on LDR images of 8x8 pixels: [A-Z]") as failure:
+        process.mean_error(white[..., 0], white[..., 0], "LDR")
+    assert not isinstance(failure.value, FlipRefusedError)
+    assert process.mean_error(white, white, "LDR") == 0
+    process.stop()
+
+
+def test_a_child_that_ends_with_another_code_is_no_refusal(tmp_path, monkeypatch):
+    (tmp_path / "flip_evaluator.py").write_text("raise SystemExit(1)")
+    monkeypatch.setenv("PYTHONPATH", str(tmp_path), prepend=os.pathsep)
+    white = np.ones((8, 8, 3), np.float32)
+    with pytest.raises(FlipError, match="crashed on LDR images of 8x8 pixels: exit code 1") as end:
+        FlipProcess().mean_error(white, white, "LDR")
+    assert not isinstance(end.value, FlipRefusedError)
 
 
 def test_the_child_imports_no_torch():

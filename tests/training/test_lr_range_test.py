@@ -6,11 +6,12 @@ import csv
 import math
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from rlbench import registry
 from rlbench.training import LrRangeResult, TrainingConfig, find_learning_rate
-from rlbench.training.lr_range_test import LrPoint, smooth_losses, suggest_lr
+from rlbench.training.lr_range_test import LrPoint, _has_diverged, smooth_losses, suggest_lr
 from tests.conftest import write_noise
 from tests.learning_plugin import write_learner
 
@@ -63,3 +64,29 @@ def test_a_loss_that_is_not_finite_ends_the_test(tmp_path):
 def test_a_loss_that_has_doubled_ends_the_test(tmp_path):
     result = run_range_test(tmp_path, "loss * (9 if int(clip.name.split()[1]) > 9 else 1)")
     assert 9 < len(result.points) < 20
+
+
+TRANSFORMS = {"plain": lambda loss: loss, "offset": lambda loss: loss - 7, "logarithm": math.log}
+
+
+@pytest.mark.parametrize("transform", TRANSFORMS.values(), ids=list(TRANSFORMS))
+def test_a_falling_loss_of_either_sign_does_not_end_the_test(transform):
+    falling = [
+        LrPoint(k, 10 ** (-6 + k / 20), transform(0.1 - 0.0008 * k + 0.004 * (-1) ** k))
+        for k in range(101)
+    ]
+    assert not any(_has_diverged(falling[:count]) for count in range(102))
+
+
+@pytest.mark.parametrize("transform", TRANSFORMS.values(), ids=list(TRANSFORMS))
+def test_a_loss_of_either_sign_that_rises_above_where_it_began_ends_the_test(transform):
+    points = [point._replace(loss=transform(1 + point.loss)) for point in valley(-4.0)]
+    first = next(count for count in range(52) if _has_diverged(points[:count]))
+    assert -2.1 < math.log10(points[first - 1].learning_rate) < -1.6
+
+
+def test_noise_around_a_constant_loss_does_not_end_the_test():
+    noise = np.random.default_rng(0).normal(-0.05, 0.01, (20, 101))
+    for losses in noise:
+        points = [LrPoint(k, 10 ** (-6 + k / 20), loss) for k, loss in enumerate(losses)]
+        assert not any(_has_diverged(points[:count]) for count in range(102))

@@ -17,7 +17,7 @@ from jaxtyping import Float, UInt8
 from numpy import ndarray as Array
 
 from rlbench.benchmark.regression.comparison import BaselineDiff
-from rlbench.benchmark.row_name import BF16, COMPILERS, RowName
+from rlbench.benchmark.row_name import RowName
 from rlbench.errors import RlbenchError
 
 if TYPE_CHECKING:
@@ -161,8 +161,7 @@ def _compute(key: FrameKey, clip: StoredSource) -> LinearImage:
     from rlbench.run import run_clip
 
     row = RowName.parse(key.method)
-    labels = set(row.label.split("-")) - {""}
-    if labels - {BF16, *COMPILERS}:
+    if row.options.weights:
         raise CropsError(
             f"{key.method} has weights that the results name and do not hold. Store its images: "
             "rlbench run --keep-images"
@@ -173,8 +172,9 @@ def _compute(key: FrameKey, clip: StoredSource) -> LinearImage:
         (key.target_spp,),
         (key.seed,),
         torch.device("cpu"),
-        bf16=BF16 in labels,
-        backend="".join(labels - {BF16}) or "eager",
+        bf16=row.options.bf16,
+        backend=row.options.backend,
+        skip_tiles=row.options.skip_tiles,
     )
     loader, (cell,) = CellLoader(plan), resolve_cells(plan)
     results = run_clip(loader.method(cell), loader.clip(cell), key.target_spp)

@@ -135,23 +135,24 @@ def judge(gate: SpeedGate, row: Timing, reference: Timing) -> SpeedResult:
 
 def _configuration(name: str) -> Configuration:
     """The method of a row, with the backend and precision that its label names."""
-    from rlbench.benchmark.row_name import BF16, RowName
+    from rlbench.benchmark.row_name import RowName
     from rlbench.benchmark.speed import Configuration
 
     row = RowName.parse(name)
-    labels = row.label.split("-") if row.label else []
-    backend = "".join(label for label in labels if label != BF16)
-    return Configuration(row.method, backend or "eager", BF16 in labels)
+    return Configuration(row.method, row.options.backend, row.options.bf16)
 
 
 def _is_known(name: str) -> bool:
-    """Is this the name of a row of an installed method, with no label of weights?"""
+    """Is this a row of an installed method, with no label of weights or of tiles?
+
+    No generated frame has tiles without changes.
+    """
     from rlbench import registry
-    from rlbench.benchmark.row_name import BF16, COMPILERS, RowName
+    from rlbench.benchmark.row_name import RowName
 
     row = RowName.parse(name)
     try:
         registry.get_variant(row.method)
     except PluginError:
         return False
-    return set(row.label.split("-")) <= {"", BF16, *COMPILERS}
+    return not row.options.weights and not row.options.skip_tiles

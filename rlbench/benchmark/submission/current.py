@@ -11,13 +11,11 @@ from collections import defaultdict
 from collections.abc import Collection, Iterable, Mapping
 
 from rlbench import registry
-from rlbench.backends import EAGER
 from rlbench.benchmark.cell_ids import CellIds
 from rlbench.benchmark.cell_key import CellKey
 from rlbench.benchmark.clip_sources import StoredSource
 from rlbench.benchmark.resolve import resolve_cells
 from rlbench.benchmark.results import CellId, RowName
-from rlbench.benchmark.row_name import BF16, COMPILERS, TILES
 from rlbench.benchmark.run_plan import RunPlan
 
 __all__ = ["plan_of", "uncheckable_methods", "outdated_cells"]
@@ -65,16 +63,14 @@ def plan_of(
 ) -> RunPlan:
     """The run that measures a row on this machine's processor."""
     name = RowName.parse(row)
-    labels = _labels(name)
-    backend = next((label for label in labels if label in COMPILERS), EAGER)
     return RunPlan(
         (name.method,),
         tuple(clips),
         spp,
         seeds,
-        bf16=BF16 in labels,
-        backend=backend,
-        skip_tiles=TILES in labels,
+        bf16=name.options.bf16,
+        backend=name.options.backend,
+        skip_tiles=name.options.skip_tiles,
     )
 
 
@@ -84,11 +80,7 @@ def _is_reproducible(row: str) -> bool:
         registry.get_variant(name.method)
     except registry.PluginError:
         return False
-    return _labels(name) <= {BF16, TILES, *COMPILERS}
-
-
-def _labels(name: RowName) -> set[str]:
-    return set(name.label.split("-")) - {""}
+    return not name.options.weights
 
 
 def _slot(key: CellKey) -> tuple[str, str, float, int]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 from hashlib import sha256
 from pathlib import Path
 
@@ -11,12 +12,12 @@ import numpy as np
 from rlbench.clips.compatibility import compatibility_summary
 from rlbench.clips.exposure import area_luminance, exposure_from_areas
 from rlbench.clips.frame_files import exceeds_float, file_kinds, has_frame, write_frame
-from rlbench.clips.header import FILE, Header, write_header
+from rlbench.clips.header import FILE, Header, read_header, write_header
 from rlbench.clips.importers import limits
 from rlbench.clips.importers.sequence import ImportedFrame, ImportedSequence, SourceError
 from rlbench.system import paths
 
-__all__ = ["clip_header", "estimate_exposure", "is_finished", "write_clip"]
+__all__ = ["change_exposure", "clip_header", "estimate_exposure", "is_finished", "write_clip"]
 
 MAX_EXPOSURE_FRAMES = 8  # whose references decide the exposure
 SOURCE_FILE = "source.txt"  # in the clip folder: what its frames were imported from
@@ -96,6 +97,21 @@ def write_clip(
             write_frame(folder, index, frame.gbuffer, pools, frame.half_a, frame.half_b)
         on_frame()
     write_header(folder, header)
+
+
+def change_exposure(sequence: ImportedSequence, folder: Path, exposure: float) -> float:
+    """Write another exposure into the header of a finished clip; returns that of before.
+
+    Nothing is written where they are equal. Raises SourceError where exposed radiance would exceed
+    float32.
+    """
+    stored = read_header(folder)
+    header = replace(stored, exposure=exposure)
+    for number in sequence.numbers if exposure > stored.exposure else ():
+        _check_exposed(header, number, sequence.read(number, header.pool_spp))
+    if exposure != stored.exposure:
+        write_header(folder, header)
+    return stored.exposure
 
 
 def is_finished(sequence: ImportedSequence, header: Header, folder: Path) -> bool:

@@ -108,6 +108,14 @@ def test_without_its_clip_or_weights_a_frame_has_no_crops(clip, table, tmp_path)
     assert not (tmp_path / "crops").exists()
 
 
+def test_a_frame_of_a_row_with_kept_tiles_is_computed_again(clip, table, tmp_path):
+    labelled = table.assign(method="mean@tiles")
+    diff = BaselineDiff(ScoreKey("mean@tiles", "foyer", 1.0), "worse", 30.0, 10.0, 0.05)
+    crops = write_crops(diff, labelled, 0, [clip], tmp_path / "r", tmp_path / "crops")
+    assert crops.title.startswith("mean@tiles")
+    assert crops.title.endswith("computed again")
+
+
 @pytest.mark.parametrize("size", [(20, 24), (64, 64), (65, 300)])
 def test_a_tile_lies_inside_the_image(size):
     rng = np.random.default_rng(size)

@@ -52,6 +52,7 @@ def test_a_gate_names_two_rows_and_a_ratio(text, gate):
         ("ours/maen<=1", "no two installed methods"),
         ("ours<=1", "no two installed methods"),
         ("ours@seed1/ours<=1", "no two installed methods"),
+        ("mean@tiles/mean<=1", "no two installed methods"),
     ],
 )
 def test_what_is_no_gate_is_refused(text, message):

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import errno
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -94,6 +95,29 @@ def test_exposure_is_written_to_the_header(source, tmp_path):
     words = ("import", source, "--format", "oidn", "--out", tmp_path, "--exposure", 2.5)
     rlbench(*words)
     assert read_header(tmp_path / "walk").exposure == 2.5
+
+
+def test_another_exposure_of_a_finished_import_changes_the_header_alone(source, tmp_path):
+    words = ("import", source, "--format", "oidn", "--out", tmp_path)
+    rlbench(*words, "--exposure", 1)
+    before = read_header(tmp_path / "walk")
+    images = {p: p.stat().st_mtime_ns for p in (tmp_path / "walk").glob("*.exr")}
+    assert "before, its exposure 1 is replaced, 3 frames" in rlbench(*words, "--exposure", 4)
+    assert repr(read_header(tmp_path / "walk")) == repr(replace(before, exposure=4.0))
+    header = (tmp_path / "walk" / "clip.toml").stat().st_mtime_ns
+    assert {p: p.stat().st_mtime_ns for p in (tmp_path / "walk").glob("*.exr")} == images
+    assert "is replaced" not in rlbench(*words, "--exposure", 4)
+    rlbench(*words)
+    assert (tmp_path / "walk" / "clip.toml").stat().st_mtime_ns == header
+
+
+def test_an_exposure_that_float32_cannot_hold_leaves_a_finished_import_as_it_is(tmp_path):
+    source = write_oidn(tmp_path / "source", frames=1)
+    exr(source / "walk_0000_ref.hdr.exr", np.full_like(radiance(0, 0), 3e38))
+    words = ("import", source, "--format", "oidn", "--out", tmp_path / "out")
+    rlbench(*words, "--exposure", 1)
+    assert "times the exposure 2 exceeds float32" in rlbench(*words, "--exposure", 2, code=2)
+    assert read_header(tmp_path / "out" / "walk").exposure == 1
 
 
 def test_each_clip_has_a_folder_of_its_own(tmp_path):
