@@ -157,7 +157,9 @@ def _measure(
         else:
             cell_id, output = cell_ids[outcome.job.key], outcome.result()
         counts = _count_cell(cell_id, output.rows, is_timed=cell_id.key in known)
-        summary += replace(counts, replaced=store.write(cell_id, *output))
+        times = store.time_rows(cell_id) if scores_only else []
+        replaced = store.write(cell_id, output.rows + times, output.images)
+        summary += replace(counts, replaced=replaced)
         _log_cell(outcome.job, counts, output.rows)
         progress.on_cell(outcome.job)
     return summary

@@ -103,6 +103,16 @@ def test_a_cell_with_scores_but_without_images_is_run_again_and_keeps_its_scores
     assert keep(plan, tmp_path / "r") == RunSummary(cached=1)
 
 
+def test_images_that_are_made_without_times_leave_those_that_are_there(plan, tmp_path):
+    measure(plan, tmp_path / "r")
+    before = table.read(tmp_path / "r")
+    assert keep(plan, tmp_path / "r", scores_only=True) == RunSummary(measured=1)
+    after = table.read(tmp_path / "r")
+    assert "frame_ms" in set(after["metric"])
+    assert after.equals(before)
+    assert keep(plan, tmp_path / "r") == RunSummary(cached=1)
+
+
 @pytest.mark.parametrize("name", ["0001.exr", "cell.json"])
 def test_a_cell_that_lacks_a_file_of_its_images_is_run_again(plan, tmp_path, name):
     keep(plan, tmp_path / "r")
