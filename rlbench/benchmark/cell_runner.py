@@ -37,6 +37,7 @@ class CellOutput(NamedTuple):
 
     rows: list[Row]
     images: CellImages | None = None
+    failure: str = ""  # the reason, where an error left the cell without scores or times
 
 
 class CellRunner:
@@ -92,8 +93,7 @@ class CellRunner:
         for cell in cells:
             error = errors.get(cell.key)
             if cell.key in stored:
-                rows = self._with_new_times(cell, stored[cell.key], error)
-                yield JobResult(cell, CellOutput(rows))
+                yield JobResult(cell, self._with_new_times(cell, stored[cell.key], error))
             elif error:
                 yield JobResult(cell, error=error)
             else:
@@ -107,10 +107,10 @@ class CellRunner:
             return CellOutput([refusal_row(self.templates[cell.key], reason)])
         return self._measure(cell, self.loader.method(cell))
 
-    def failure(self, cell: ResolvedCell, error: Exception) -> Row:
-        """The only row of a cell that an error stopped."""
+    def failure(self, cell: ResolvedCell, error: Exception) -> CellOutput:
+        """The output of a cell that an error stopped: one row with the reason."""
         reason = registry.failure_reason(cell.method.name, error)
-        return refusal_row(self.templates[cell.key], reason)
+        return CellOutput([refusal_row(self.templates[cell.key], reason)], failure=reason)
 
     def _measure(self, cell: ResolvedCell, method: Method) -> CellOutput:
         needs = frozenset().union(*(metric.needs for metric in self.metrics))
@@ -132,16 +132,16 @@ class CellRunner:
 
     def _with_new_times(
         self, cell: ResolvedCell, rows: Sequence[Row], error: Exception | None
-    ) -> list[Row]:
+    ) -> CellOutput:
         """The stored scores of a cell with new times, or with the reason why it has none."""
         if self.loader.incompatibility(cell):
-            return list(rows)
+            return CellOutput(list(rows))
         scores = drop_times(rows)
         template = replace(self.templates[cell.key], config=scores[0].config)
         if error:
             reason = registry.failure_reason(cell.method.name, error)
-            return scores + failed_time_rows(template, reason)
-        return scores + self._time_rows(cell, template, scores)
+            return CellOutput(scores + failed_time_rows(template, reason), failure=reason)
+        return CellOutput(scores + self._time_rows(cell, template, scores))
 
     def _time_rows(self, cell: ResolvedCell, template: Row, scores: Sequence[Row]) -> list[Row]:
         if self.scores_only:

@@ -23,6 +23,7 @@ from rlbench.benchmark.cell_key import CellId, CellsError
 from rlbench.benchmark.clip_sources import StoredSource, max_samples_needed
 from rlbench.benchmark.resolve import resolve_cells, resolve_method
 from rlbench.benchmark.run_plan import RunPlan
+from rlbench.benchmark.run_table import read_outcome
 from rlbench.benchmark.runner import RunSummary, measure, read_cells
 from rlbench.clips.stored import open_clip
 from rlbench.errors import OptionError
@@ -223,11 +224,32 @@ def test_a_method_that_fails_when_it_is_timed_again_keeps_its_scores(clip_folder
     measure(run_plan(clip_folder, "odd"), tmp_path / "r")
     before = scores(tmp_path / "r")
     (tmp_path / "file").unlink()
-    measure(run_plan(clip_folder, "odd"), tmp_path / "r", retime=True)
+    done = measure(run_plan(clip_folder, "odd"), tmp_path / "r", retime=True)
+    assert done == RunSummary(failed=1)
+    assert [cell.method for cell in done.failures] == ["odd"]
     assert scores(tmp_path / "r") == before
     rows = table.read(tmp_path / "r")
     (note,) = rows[rows["metric"] == "frame_ms"]["note"]
     assert note.startswith("FileNotFoundError: ")
+
+
+def test_a_cell_whose_timing_failed_is_timed_by_the_next_run(clip_folder, tmp_path):
+    body = f"open({str(tmp_path / 'file')!r}); return samples.mean, None"
+    (tmp_path / "file").touch()
+    registry.use_plugin(write_plugin(tmp_path / "odd.py", "odd", body=body))
+    plan = run_plan(clip_folder, "odd")
+    measure(plan, tmp_path / "r", scores_only=True)
+    before = scores(tmp_path / "r")
+    (tmp_path / "file").unlink()
+    for _ in range(2):
+        assert measure(plan, tmp_path / "r") == RunSummary(failed=1)
+        outcome = read_outcome(plan, RunSummary(), tmp_path / "r")
+        assert re.match("odd: no inference_ms on noise: FileNotFoundError: ", *outcome.missing)
+    (tmp_path / "file").touch()
+    assert measure(plan, tmp_path / "r") == RunSummary(timed=1)
+    assert measure(plan, tmp_path / "r") == RunSummary(cached=1)
+    assert scores(tmp_path / "r") == before
+    assert times_of(tmp_path / "r", "odd")["inference_ms"] > 0
 
 
 def test_all_missing_cells_are_timed_together_before_the_first_is_scored(clip_folder, tmp_path):
