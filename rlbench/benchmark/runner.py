@@ -152,19 +152,27 @@ def _measure(
     for outcome in runner.run(due, executor, progress.on_timing, known):
         if isinstance(outcome.error, WriteError):  # a full disk fails every cell after this one
             raise outcome.error
-        if outcome.error:  # whatever a method may raise is reported in its row
-            cell_id = ids.failed_id(outcome.job)
-            output = runner.failure(outcome.job, outcome.error)
-        else:
-            cell_id, output = cell_ids[outcome.job.key], outcome.result()
-            cell_id = cell_id.untimed if output.failure else cell_id  # timed by the next run
+        cell_id, error = cell_ids[outcome.job.key], outcome.error
+        output = runner.failure(outcome.job, error) if error else outcome.result()
         counts = _count_cell(cell_id, output, is_timed=cell_id.key in known)
-        times = store.time_rows(cell_id) if scores_only else []
-        replaced = store.write(cell_id, output.rows + times, output.images)
-        summary += replace(counts, replaced=replaced)
         _log_cell(outcome.job, counts, output)
+        if error and store.find(cell_id):  # only the images of these scores are missing
+            _logger.warning("%s: no images, its scores stay: %s", cell_id.key, output.failure)
+            summary += counts
+        else:
+            written = _written_id(cell_id, output, is_stopped=error is not None)
+            times = store.time_rows(cell_id) if scores_only else []
+            replaced = store.write(written, output.rows + times, output.images)
+            summary += replace(counts, replaced=replaced)
         progress.on_cell(outcome.job)
     return summary
+
+
+def _written_id(cell: CellId, output: CellOutput, is_stopped: bool) -> CellId:
+    """The identity of what a run found; the next run finds no such scores, or no such times."""
+    if is_stopped:
+        return cell.failed
+    return cell.untimed if output.failure else cell
 
 
 def _log_cell(cell: ResolvedCell, counts: RunSummary, output: CellOutput) -> None:
