@@ -18,7 +18,13 @@ from rlbench.benchmark.ground_truth_cache import GroundTruthCache
 from rlbench.benchmark.resolve import ResolvedCell
 from rlbench.benchmark.results import CellKey, Row
 from rlbench.benchmark.run_plan import RunPlan
-from rlbench.benchmark.scoring import count_rows, refusal_row, row_template, score_frames
+from rlbench.benchmark.scoring import (
+    add_counts,
+    count_rows,
+    refusal_row,
+    row_template,
+    score_frames,
+)
 from rlbench.benchmark.time_rows import drop_times, failed_time_rows, timing_rows
 from rlbench.benchmark.timing_cache import TimingCache, TimingCallback
 from rlbench.method import Method, config_json
@@ -116,16 +122,17 @@ class CellRunner:
         needs = frozenset().union(*(metric.needs for metric in self.metrics))
         clip = self.truths.open(self.loader.clip(cell, scored_buffers=needs & {"motion"}))
         template = replace(self.templates[cell.key], config=config_json(method))
-        remarks, rows, frames, counts = self._remarks(cell), [], [], []
+        remarks, rows, frames = self._remarks(cell), [], []
         max_samples = samples_at_cap(cell.traits, cell.pool_spp)
+        pixels = torch.zeros(max_samples + 1, dtype=torch.long)
         results = run_clip(method, clip, cell.target_spp)
         for result, scored in score_frames(
             template, self.metrics, results, cell.header, clip.ground_truth, max_samples
         ):
             rows += [replace(row, note=row.note or remarks) for row in scored]
-            counts.append(result.samples.counts)
+            pixels = add_counts(pixels, result.samples.counts)
             frames += [KeptFrame.of(result)] if self.keep_images else []
-        rows += count_rows(template, counts, max_samples)
+        rows += count_rows(template, pixels)
         shared = cell.traits.pool, clip.digest, max_samples
         images = CellImages(*shared, frames) if self.keep_images else None
         return CellOutput(rows + self._time_rows(cell, template, rows), images)

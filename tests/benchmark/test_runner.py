@@ -6,6 +6,7 @@ import importlib.metadata
 import math
 import re
 import shutil
+import weakref
 from dataclasses import replace
 from pathlib import Path
 
@@ -16,7 +17,7 @@ import torch
 from metrics.metric import Metric
 from reports.analysis.aggregate import Scores
 from rlbench import registry
-from rlbench.benchmark import latency
+from rlbench.benchmark import cell_runner, latency
 from rlbench.benchmark import results as table
 from rlbench.benchmark.cell_ids import CellIds
 from rlbench.benchmark.cell_key import CellId, CellsError
@@ -87,6 +88,22 @@ def test_the_histogram_of_counts_holds_every_pixel_and_spends_the_budget(clip_fo
     assert by_budget["value"].sum().to_dict() == pytest.approx({0.5: 100, 8.0: 100})
     assert by_budget["spent"].sum().to_dict() == pytest.approx({0.5: 0.5, 8.0: 8.0})
     assert sorted(spp.unique()) == list(range(9))  # of 8 stored samples
+
+
+def test_the_counts_of_a_frame_are_let_go_before_the_end_of_the_clip(tmp_path, monkeypatch):
+    kept, run_clip = [], cell_runner.run_clip
+
+    def watched(*arguments):
+        counts = []
+        for result in run_clip(*arguments):
+            counts.append(weakref.ref(result.samples.counts))
+            yield result
+            del result
+        kept.append(sum(each() is not None for each in counts))
+
+    monkeypatch.setattr(cell_runner, "run_clip", watched)
+    measure(run_plan(write_noise(tmp_path / "noise", frames=8)), tmp_path / "r", scores_only=True)
+    assert kept[0] <= 3  # of the frame and of the two before, which metrics read
 
 
 def test_a_metric_reads_motion_that_its_method_does_not_receive(tmp_path, monkeypatch):
