@@ -13,7 +13,7 @@ import torch
 from rlbench import registry
 from rlbench.backends import EAGER
 from rlbench.benchmark import cost
-from rlbench.benchmark.cell_key import FAILED, CellId
+from rlbench.benchmark.cell_key import CellId
 from rlbench.benchmark.resolve import ResolvedCell, ResolvedMethod, resolve_cells, resolve_method
 from rlbench.benchmark.results import HELD_OUT_PREFIX
 from rlbench.benchmark.run_plan import RunPlan
@@ -58,10 +58,6 @@ class CellIds:
         )
         times = (self._cost, plan.repeats, self._charged(cell), self._timing)
         return CellId(cell.key, _short_hash(content), _short_hash(times))
-
-    def failed_id(self, cell: ResolvedCell) -> CellId:
-        """The identity of a cell that an error stopped: never that of a finished one."""
-        return CellId(cell.key, FAILED)
 
     @cached_property
     def run_id(self) -> str:

@@ -80,6 +80,11 @@ class CellId:
         """The identity of the same scores without times."""
         return replace(self, times_hash="")
 
+    @property
+    def failed(self) -> CellId:
+        """The identity of the same cell where an error stopped it: never that of a finished one."""
+        return CellId(self.key, FAILED)
+
     def has_scores_of(self, cell: CellId) -> bool:
         """Do both have the same scores, whatever their times?"""
         return (self.key, self.content_hash) == (cell.key, cell.content_hash) and not self.is_failed

@@ -18,7 +18,13 @@ from rlbench.benchmark.ground_truth_cache import GroundTruthCache, buffers_of_tr
 from rlbench.benchmark.resolve import ResolvedCell
 from rlbench.benchmark.results import CellKey, Row
 from rlbench.benchmark.run_plan import RunPlan
-from rlbench.benchmark.scoring import count_rows, refusal_row, row_template, score_frames
+from rlbench.benchmark.scoring import (
+    add_counts,
+    count_rows,
+    refusal_row,
+    row_template,
+    score_frames,
+)
 from rlbench.benchmark.time_rows import drop_times, failed_time_rows, timing_rows
 from rlbench.benchmark.timing_cache import TimingCache, TimingCallback
 from rlbench.method import Method, config_json
@@ -37,6 +43,7 @@ class CellOutput(NamedTuple):
 
     rows: list[Row]
     images: CellImages | None = None
+    failure: str = ""  # the reason, where an error left the cell without scores or times
 
 
 class CellRunner:
@@ -92,8 +99,7 @@ class CellRunner:
         for cell in cells:
             error = errors.get(cell.key)
             if cell.key in stored:
-                rows = self._with_new_times(cell, stored[cell.key], error)
-                yield JobResult(cell, CellOutput(rows))
+                yield JobResult(cell, self._with_new_times(cell, stored[cell.key], error))
             elif error:
                 yield JobResult(cell, error=error)
             else:
@@ -107,40 +113,41 @@ class CellRunner:
             return CellOutput([refusal_row(self.templates[cell.key], reason)])
         return self._measure(cell, self.loader.method(cell))
 
-    def failure(self, cell: ResolvedCell, error: Exception) -> Row:
-        """The only row of a cell that an error stopped."""
+    def failure(self, cell: ResolvedCell, error: Exception) -> CellOutput:
+        """The output of a cell that an error stopped: one row with the reason."""
         reason = registry.failure_reason(cell.method.name, error)
-        return refusal_row(self.templates[cell.key], reason)
+        return CellOutput([refusal_row(self.templates[cell.key], reason)], failure=reason)
 
     def _measure(self, cell: ResolvedCell, method: Method) -> CellOutput:
         clip = self.truths.open(self.loader.clip(cell, buffers_of_truth(self.metrics)))
         template = replace(self.templates[cell.key], config=config_json(method))
-        remarks, rows, frames, counts = self._remarks(cell), [], [], []
+        remarks, rows, frames = self._remarks(cell), [], []
         max_samples = samples_at_cap(cell.traits, cell.pool_spp)
+        pixels = torch.zeros(max_samples + 1, dtype=torch.long)
         results = run_clip(method, clip, cell.target_spp)
         for result, scored in score_frames(
             template, self.metrics, results, cell.header, clip.ground_truth, max_samples
         ):
             rows += [replace(row, note=row.note or remarks) for row in scored]
-            counts.append(result.samples.counts)
+            pixels = add_counts(pixels, result.samples.counts)
             frames += [KeptFrame.of(result)] if self.keep_images else []
-        rows += count_rows(template, counts, max_samples)
+        rows += count_rows(template, pixels)
         shared = cell.traits.pool, clip.digest, max_samples
         images = CellImages(*shared, frames) if self.keep_images else None
         return CellOutput(rows + self._time_rows(cell, template, rows), images)
 
     def _with_new_times(
         self, cell: ResolvedCell, rows: Sequence[Row], error: Exception | None
-    ) -> list[Row]:
+    ) -> CellOutput:
         """The stored scores of a cell with new times, or with the reason why it has none."""
         if self.loader.incompatibility(cell):
-            return list(rows)
+            return CellOutput(list(rows))
         scores = drop_times(rows)
         template = replace(self.templates[cell.key], config=scores[0].config)
         if error:
             reason = registry.failure_reason(cell.method.name, error)
-            return scores + failed_time_rows(template, reason)
-        return scores + self._time_rows(cell, template, scores)
+            return CellOutput(scores + failed_time_rows(template, reason), failure=reason)
+        return CellOutput(scores + self._time_rows(cell, template, scores))
 
     def _time_rows(self, cell: ResolvedCell, template: Row, scores: Sequence[Row]) -> list[Row]:
         if self.scores_only:

@@ -9,6 +9,7 @@ from rlbench.benchmark import cell_images, results
 from rlbench.benchmark.cell_images import CellImages
 from rlbench.benchmark.cell_key import CellId, by_slot, superseded_cells
 from rlbench.benchmark.results import WHOLE_CLIP, Row
+from rlbench.benchmark.time_rows import drop_times
 
 __all__ = ["CellStore"]
 
@@ -45,6 +46,12 @@ class CellStore:
             return None
         rows = results.read_cell_rows(self.folder, stored)
         return None if with_images and self._lacks_images(cell, rows) else rows
+
+    def time_rows(self, cell: CellId) -> list[Row]:
+        """The times of the stored cell with the same scores; empty where there are none."""
+        rows = self.rows(cell) or []
+        scores = set(drop_times(rows))
+        return [row for row in rows if row not in scores]
 
     def write(self, cell: CellId, rows: Sequence[Row], images: CellImages | None) -> int:
         """Write a finished cell, images first; returns how many older versions it replaced."""

@@ -9,6 +9,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from contextlib import suppress
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -110,14 +111,19 @@ def drop_cell(folder: Path, cell: CellId) -> None:
 def read(folder: Path) -> pd.DataFrame:
     """All cells in `folder` as one table, in the order of `COLUMNS`, sorted by file name.
 
+    Of a cell that has several versions, which a killed run may leave, the newest file is read.
     `frame` and `seed` are int64; `target_spp`, `mean_spp` and `value` float64; all others strings
     that are empty rather than missing. The number of runs that looked at each test preset is in
     `attrs["looks"]`. Raises TableError if there are no cells, and for a damaged file.
     """
     import pandas as pd
 
-    stored = [cell_file.read_cell(file) for file in _files(folder)]
-    rows = [cell[1] for cell in stored if cell is not None]
+    newest: dict[CellKey, tuple[Path, pd.DataFrame]] = {}
+    for file in sorted(_files(folder), key=lambda file: file.stat().st_mtime_ns):
+        if (stored := cell_file.read_cell(file)) is not None:
+            key = replace(stored[0].key, first_frames_only=False)
+            newest[key] = file, stored[1]
+    rows = [table for _, table in sorted(newest.values(), key=lambda each: each[0])]
     if not rows:
         raise TableError(f"no results in {folder}: {_content(folder)}; rlbench run writes them")
     table: pd.DataFrame = pd.concat(rows, ignore_index=True)

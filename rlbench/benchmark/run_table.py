@@ -44,7 +44,7 @@ class RunOutcome:
     summary: RunSummary
     clips: int  # number of clips of the plan
     scores: list[ScoreRow]
-    missing: list[str]  # why clips have no score or no sample time
+    missing: list[str]  # why clips have no score, no inference time or no sample time
     remarks: list[str]  # unreliable times, and what to know of scores
     verdict: RunVerdict
 
@@ -91,9 +91,9 @@ def _score_rows(rows: pd.DataFrame) -> list[ScoreRow]:
 
 
 def _missing_numbers(rows: pd.DataFrame) -> list[str]:
-    """Why clips have no score or no sample time, a sentence for each method and reason."""
+    """Why clips have no score, no inference time or no sample time, by method and reason."""
     missing = rows[(rows["frame"] == results.WHOLE_CLIP) & rows["value"].isna()]
-    missing = missing[missing["metric"].isin(["psnr", "sample_ms"])]
+    missing = missing[missing["metric"].isin(["psnr", "inference_ms", "sample_ms"])]
     return [
         f"{method}: no {metric} on {', '.join(sorted(set(group['clip'])))}: {note}"
         for (method, metric, note), group in missing.groupby(["method", "metric", "note"])

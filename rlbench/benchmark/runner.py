@@ -5,8 +5,9 @@ that are in the results already are not run again, so a killed run resumes where
 whose content has changed (code, weights, clip) replaces its older version, so that a results
 folder holds one answer for each method, clip, budget, seed and device. A cell whose times alone
 are out of date (cost of a sample, clock) is timed again and keeps its scores. A cell that cannot
-run is one row with the reason; if the reason was an error, the next run tries the cell again. A
-damaged row file is set aside, and its cell counts as missing.
+run is one row with the reason; if the reason was an error, the next run tries the cell again.
+Where an error stopped only its times, its scores stay. A damaged row file is set aside, and its
+cell counts as missing.
 """
 
 from __future__ import annotations
@@ -25,7 +26,7 @@ from rlbench.benchmark.cell_store import CellStore
 from rlbench.benchmark.looks import record_looks
 from rlbench.benchmark.preflight import check_times_alone
 from rlbench.benchmark.resolve import ResolvedCell, resolve_cells
-from rlbench.benchmark.results import CellId, CellKey, Row
+from rlbench.benchmark.results import CellId, CellKey
 from rlbench.benchmark.run_plan import RunPlan
 from rlbench.benchmark.timing_cache import TimingCallback
 from rlbench.parallel.executor import LOCAL, Executor
@@ -63,7 +64,7 @@ class RunSummary:
 
     measured: int = 0  # with numbers
     skipped: int = 0  # not supported by the method, with the reason instead
-    failed: int = 0  # stopped by an error, which is their reason
+    failed: int = 0  # without scores or new times by an error, which is their reason
     cached: int = 0  # in the results already
     timed: int = 0  # in the results already, with new times
     unscored: int = field(default=0, compare=False)  # not in the results, so not timed either
@@ -151,30 +152,41 @@ def _measure(
     for outcome in runner.run(due, executor, progress.on_timing, known):
         if isinstance(outcome.error, WriteError):  # a full disk fails every cell after this one
             raise outcome.error
-        if outcome.error:  # whatever a method may raise is reported in its row
-            cell_id = ids.failed_id(outcome.job)
-            output = CellOutput([runner.failure(outcome.job, outcome.error)])
+        cell_id, error = cell_ids[outcome.job.key], outcome.error
+        output = runner.failure(outcome.job, error) if error else outcome.result()
+        counts = _count_cell(cell_id, output, is_timed=cell_id.key in known)
+        _log_cell(outcome.job, counts, output)
+        if error and store.find(cell_id):  # only the images of these scores are missing
+            _logger.warning("%s: no images, its scores stay: %s", cell_id.key, output.failure)
+            summary += counts
         else:
-            cell_id, output = cell_ids[outcome.job.key], outcome.result()
-        counts = _count_cell(cell_id, output.rows, is_timed=cell_id.key in known)
-        summary += replace(counts, replaced=store.write(cell_id, *output))
-        _log_cell(outcome.job, counts, output.rows)
+            written = _written_id(cell_id, output, is_stopped=error is not None)
+            times = store.time_rows(cell_id) if scores_only else []
+            replaced = store.write(written, output.rows + times, output.images)
+            summary += replace(counts, replaced=replaced)
         progress.on_cell(outcome.job)
     return summary
 
 
-def _log_cell(cell: ResolvedCell, counts: RunSummary, rows: Sequence[Row]) -> None:
+def _written_id(cell: CellId, output: CellOutput, is_stopped: bool) -> CellId:
+    """The identity of what a run found; the next run finds no such scores, or no such times."""
+    if is_stopped:
+        return cell.failed
+    return cell.untimed if output.failure else cell
+
+
+def _log_cell(cell: ResolvedCell, counts: RunSummary, output: CellOutput) -> None:
     what = next(
         name for name in ("failed", "skipped", "timed", "measured") if getattr(counts, name)
     )
-    reason = f": {rows[0].note}" if counts.failed or counts.skipped else ""
-    _logger.info("%s: %s%s", cell.key, what, reason)
+    reason = output.failure or (output.rows[0].note if counts.skipped else "")
+    _logger.info("%s: %s%s", cell.key, what, reason and f": {reason}")
 
 
-def _count_cell(cell: CellId, rows: Sequence[Row], is_timed: bool) -> RunSummary:
-    if cell.is_failed:
+def _count_cell(cell: CellId, output: CellOutput, is_timed: bool) -> RunSummary:
+    if output.failure:
         return RunSummary(failed=1, failures=(cell.key,))
-    if len(rows) == 1:
+    if len(output.rows) == 1:
         return RunSummary(skipped=1)
     return RunSummary(timed=1) if is_timed else RunSummary(measured=1)
 

@@ -20,6 +20,7 @@ from rlbench.sanitize import Repairs
 from rlbench.wrappers import TileMemory
 
 __all__ = [
+    "add_counts",
     "compare_frame",
     "count_rows",
     "refusal_row",
@@ -129,18 +130,28 @@ def score_frame(
         yield _with_value(frame, "tiles_skipped", result.state.skipped, SKIPPED)
 
 
-def count_rows(template: Row, counts: Sequence[Tensor], max_samples: int) -> list[Row]:
+def add_counts(pixels: Tensor, counts: Tensor) -> Tensor:
+    """A histogram, `pixels[n]` of which have n samples, with the `counts` of one more frame added.
+
+    `counts` are [n 1 h w]. The result has more bins than `pixels` where a pixel has more samples.
+    """
+    added = torch.bincount(counts.flatten().long(), minlength=len(pixels)).cpu()
+    added[: len(pixels)] += pixels
+    return added
+
+
+def count_rows(template: Row, pixels: Tensor) -> list[Row]:
     """The histogram of a clip's sample counts: the share of pixels with 0, 1, ... samples.
 
-    `counts` are those of the frames, each [n 1 h w]; the last bin is `max_samples`, or the most
-    that a pixel has.
+    `pixels` is that of all frames, as `add_counts` returns it.
     """
-    drawn = torch.stack([each.flatten() for each in counts]).flatten().long()
-    pixels = torch.bincount(drawn, minlength=max_samples + 1).tolist()
-    row = replace(template, mean_spp=float(drawn.double().mean()), frame=WHOLE_CLIP, unit="%")
+    counted = list(enumerate(pixels.tolist()))
+    total = sum(count for _, count in counted)
+    mean_spp = sum(spp * count for spp, count in counted) / total
+    row = replace(template, mean_spp=mean_spp, frame=WHOLE_CLIP, unit="%")
     return [
-        _with_value(row, f"{COUNT_PREFIX}{spp}", 100 * count / len(drawn), COUNTED)
-        for spp, count in enumerate(pixels)
+        _with_value(row, f"{COUNT_PREFIX}{spp}", 100 * count / total, COUNTED)
+        for spp, count in counted
     ]
 
 

@@ -103,6 +103,33 @@ def test_a_cell_with_scores_but_without_images_is_run_again_and_keeps_its_scores
     assert keep(plan, tmp_path / "r") == RunSummary(cached=1)
 
 
+def test_images_that_are_made_without_times_leave_those_that_are_there(plan, tmp_path):
+    measure(plan, tmp_path / "r")
+    before = table.read(tmp_path / "r")
+    assert keep(plan, tmp_path / "r", scores_only=True) == RunSummary(measured=1)
+    after = table.read(tmp_path / "r")
+    assert "frame_ms" in set(after["metric"])
+    assert after.equals(before)
+    assert keep(plan, tmp_path / "r") == RunSummary(cached=1)
+
+
+def test_an_error_while_images_are_made_leaves_the_scores(clip_folder, tmp_path, caplog):
+    body = f"open({str(tmp_path / 'file')!r}); return samples.mean, None"
+    (tmp_path / "file").touch()
+    registry.use_plugin(write_plugin(tmp_path / "odd.py", "odd", body=body))
+    plan = run_plan(clip_folder, "odd")
+    measure(plan, tmp_path / "r")
+    before = table.read(tmp_path / "r")
+    (tmp_path / "file").unlink()
+    done = keep(plan, tmp_path / "r")
+    assert done == RunSummary(failed=1)
+    assert [cell.method for cell in done.failures] == ["odd"]
+    assert "no images, its scores stay: FileNotFoundError: " in caplog.text
+    assert table.read(tmp_path / "r").equals(before)
+    (tmp_path / "file").touch()
+    assert keep(plan, tmp_path / "r") == RunSummary(measured=1)
+
+
 @pytest.mark.parametrize("name", ["0001.exr", "cell.json"])
 def test_a_cell_that_lacks_a_file_of_its_images_is_run_again(plan, tmp_path, name):
     keep(plan, tmp_path / "r")

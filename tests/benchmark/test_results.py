@@ -198,6 +198,43 @@ def test_two_cells_that_differ_only_in_content_are_two_files(tmp_path):
     assert cells(tmp_path) == {A, B}
 
 
+@pytest.mark.parametrize("newest", [A, B])
+@pytest.mark.parametrize("is_short", [False, True])
+def test_of_two_versions_of_a_cell_that_a_kill_left_the_newest_is_read(tmp_path, newest, is_short):
+    older = A if newest is B else B
+    older = replace(older, key=replace(KEY, first_frames_only=is_short))
+    files = [
+        write_cell(tmp_path, older, [ROW, replace(ROW, frame=1)]),
+        write_cell(tmp_path, newest, [replace(ROW, value=1.0)]),
+    ]
+    for seconds, file in enumerate(files):
+        os.utime(file, (seconds, seconds))
+    assert read(tmp_path)["value"].tolist() == [1.0]
+
+
+def test_of_two_versions_of_equal_age_one_is_read_and_always_the_same(tmp_path):
+    for cell, value in ((A, 1.0), (B, 2.0)):
+        os.utime(write_cell(tmp_path, cell, [replace(ROW, value=value)]), (9, 9))
+    values = read(tmp_path)["value"].tolist()
+    assert len(values) == 1
+    assert read(tmp_path)["value"].tolist() == values
+
+
+FIELDS = {"method": "x", "clip": "x", "target_spp": 4.0, "seed": 1, "preset": "x", "metric": "x"}
+
+
+@pytest.mark.parametrize(("name", "value"), FIELDS.items())
+def test_cells_that_differ_in_what_was_measured_are_all_read_in_order_of_their_files(
+    tmp_path, name, value
+):
+    others = [write_cell(tmp_path, B, [replace(ROW, value=2.0)])]
+    others.append(
+        write_cell(tmp_path, CellId(replace(KEY, **{name: value}), "b"), [replace(ROW, value=1.0)])
+    )
+    values = dict(zip(others, (2.0, 1.0), strict=True))
+    assert read(tmp_path)["value"].tolist() == [values[file] for file in sorted(values)]
+
+
 def test_a_file_name_is_not_parsed(tmp_path):
     write_cell(tmp_path, A, [ROW]).rename(tmp_path / "ours 8spp seed9 x,first,0.parquet")
     assert cells(tmp_path) == {A}

@@ -6,6 +6,7 @@ import importlib.metadata
 import math
 import re
 import shutil
+import weakref
 from dataclasses import replace
 from pathlib import Path
 
@@ -16,13 +17,14 @@ import torch
 from metrics.metric import Metric
 from reports.analysis.aggregate import Scores
 from rlbench import registry
-from rlbench.benchmark import latency
+from rlbench.benchmark import cell_runner, latency
 from rlbench.benchmark import results as table
 from rlbench.benchmark.cell_ids import CellIds
 from rlbench.benchmark.cell_key import CellId, CellsError
 from rlbench.benchmark.clip_sources import StoredSource, max_samples_needed
 from rlbench.benchmark.resolve import resolve_cells, resolve_method
 from rlbench.benchmark.run_plan import RunPlan
+from rlbench.benchmark.run_table import read_outcome
 from rlbench.benchmark.runner import RunSummary, measure, read_cells
 from rlbench.clips.stored import open_clip, read_header, write_header
 from rlbench.errors import OptionError
@@ -98,6 +100,22 @@ def test_the_histogram_of_counts_holds_every_pixel_and_spends_the_budget(clip_fo
     assert by_budget["value"].sum().to_dict() == pytest.approx({0.5: 100, 8.0: 100})
     assert by_budget["spent"].sum().to_dict() == pytest.approx({0.5: 0.5, 8.0: 8.0})
     assert sorted(spp.unique()) == list(range(9))  # of 8 stored samples
+
+
+def test_the_counts_of_a_frame_are_let_go_before_the_end_of_the_clip(tmp_path, monkeypatch):
+    kept, run_clip = [], cell_runner.run_clip
+
+    def watched(*arguments):
+        counts = []
+        for result in run_clip(*arguments):
+            counts.append(weakref.ref(result.samples.counts))
+            yield result
+            del result
+        kept.append(sum(each() is not None for each in counts))
+
+    monkeypatch.setattr(cell_runner, "run_clip", watched)
+    measure(run_plan(write_noise(tmp_path / "noise", frames=8)), tmp_path / "r", scores_only=True)
+    assert kept[0] <= 3  # of the frame and of the two before, which metrics read
 
 
 def test_a_metric_reads_motion_that_its_method_does_not_receive(tmp_path, monkeypatch):
@@ -235,11 +253,32 @@ def test_a_method_that_fails_when_it_is_timed_again_keeps_its_scores(clip_folder
     measure(run_plan(clip_folder, "odd"), tmp_path / "r")
     before = scores(tmp_path / "r")
     (tmp_path / "file").unlink()
-    measure(run_plan(clip_folder, "odd"), tmp_path / "r", retime=True)
+    done = measure(run_plan(clip_folder, "odd"), tmp_path / "r", retime=True)
+    assert done == RunSummary(failed=1)
+    assert [cell.method for cell in done.failures] == ["odd"]
     assert scores(tmp_path / "r") == before
     rows = table.read(tmp_path / "r")
     (note,) = rows[rows["metric"] == "frame_ms"]["note"]
     assert note.startswith("FileNotFoundError: ")
+
+
+def test_a_cell_whose_timing_failed_is_timed_by_the_next_run(clip_folder, tmp_path):
+    body = f"open({str(tmp_path / 'file')!r}); return samples.mean, None"
+    (tmp_path / "file").touch()
+    registry.use_plugin(write_plugin(tmp_path / "odd.py", "odd", body=body))
+    plan = run_plan(clip_folder, "odd")
+    measure(plan, tmp_path / "r", scores_only=True)
+    before = scores(tmp_path / "r")
+    (tmp_path / "file").unlink()
+    for _ in range(2):
+        assert measure(plan, tmp_path / "r") == RunSummary(failed=1)
+        outcome = read_outcome(plan, RunSummary(), tmp_path / "r")
+        assert re.match("odd: no inference_ms on noise: FileNotFoundError: ", *outcome.missing)
+    (tmp_path / "file").touch()
+    assert measure(plan, tmp_path / "r") == RunSummary(timed=1)
+    assert measure(plan, tmp_path / "r") == RunSummary(cached=1)
+    assert scores(tmp_path / "r") == before
+    assert times_of(tmp_path / "r", "odd")["inference_ms"] > 0
 
 
 def test_all_missing_cells_are_timed_together_before_the_first_is_scored(clip_folder, tmp_path):

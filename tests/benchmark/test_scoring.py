@@ -11,8 +11,14 @@ import torch
 from metrics.metric import Metric
 from rlbench import registry
 from rlbench.benchmark.ground_truth_cache import make_ground_truth
-from rlbench.benchmark.results import NOISE_CEILING, Row
-from rlbench.benchmark.scoring import compare_frame, refusal_row, score_frame
+from rlbench.benchmark.results import COUNT_PREFIX, NOISE_CEILING, Row
+from rlbench.benchmark.scoring import (
+    add_counts,
+    compare_frame,
+    count_rows,
+    refusal_row,
+    score_frame,
+)
 from rlbench.clips.procedural.clip import procedural_clip
 from rlbench.clips.stored import read_header
 from rlbench.frames import Size
@@ -114,3 +120,18 @@ def test_an_event_of_the_header_is_a_row_of_its_frame(frames, clip_folder):
 def test_a_metric_without_enough_previous_frames_has_no_row(frames, clip_folder):
     metric, header = replace(BRIGHT, previous_frames=2), read_header(clip_folder)
     assert score(metric, frames[1], header, frames[0]) == []
+
+
+@pytest.mark.parametrize("most", [5, 8, 12])  # less than the cap, the cap, and more
+def test_counts_that_are_added_frame_by_frame_are_those_of_the_whole_clip(most):
+    random = torch.Generator().manual_seed(most)
+    counts = [torch.randint(most + 1, (1, 1, 19, 23), generator=random) for _ in range(7)]
+    pixels = torch.zeros(8 + 1, dtype=torch.long)
+    for each in counts:
+        pixels = add_counts(pixels, each)
+    drawn = torch.cat([each.flatten() for each in counts])
+    histogram = torch.bincount(drawn, minlength=8 + 1).tolist()
+    rows = count_rows(TEMPLATE, pixels)
+    assert [row.metric for row in rows] == [f"{COUNT_PREFIX}{n}" for n in range(max(most, 8) + 1)]
+    assert [row.value for row in rows] == [100 * count / len(drawn) for count in histogram]
+    assert {row.mean_spp for row in rows} == {float(drawn.double().mean())}
