@@ -63,7 +63,7 @@ def accumulate(
 ) -> AccumulatedRadiance:
     """The weighted mean of both. The old weight is first multiplied by `trust`, in [0, 1].
 
-    An old weight below LEAST_SPP counts as none, so that a pixel without a new sample is a hole then.
+    An old weight below LEAST_SPP counts as none: a pixel without a new sample is a hole then.
     """
     old_spp = old.accumulated_spp * trust
     old_spp = old_spp.where(old_spp >= LEAST_SPP, 0.0)
