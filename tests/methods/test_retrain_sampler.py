@@ -45,7 +45,7 @@ def test_every_learner_retrains_the_sampler_and_leaves_the_rest(name, task, tmp_
     min_samples = 0 if name == RLLIB_APPO else make_learner(name, 1).min_samples
     task = replace(task, min_samples=min_samples)
     psnr = retrain(name, task, 12, list(task.folders), tmp_path, "a command")
-    assert set(psnr) == {"uniform", name}
+    assert set(psnr) == {"untrained", name}
     file = tmp_path / f"{name}.safetensors"
     before, after = load_file(CARDS / "ours.safetensors"), load_file(file)
     initial = task.make_sampler().state_dict()

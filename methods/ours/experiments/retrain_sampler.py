@@ -94,7 +94,7 @@ def retrain(
 ) -> dict[str, float]:
     """Train, and write OUT/NAME.safetensors with its card.
 
-    Returns the mean validation PSNR in dB, under "uniform" and under the learner's name.
+    Returns the mean validation PSNR in dB, under "untrained" and under the learner's name.
     """
     with Progress() as progress:
         bar = progress.add_task(name, total=frames)
@@ -110,7 +110,7 @@ def retrain(
     networks = method.networks
     spp = validation.validation_budgets(method, BUDGETS_FROM_0_05_SPP, ())
     assert networks.sampler is not None
-    psnr = {"uniform": validation.validate(method, networks, networks, validate, spp, "cpu").psnr}
+    psnr = {"untrained": validation.validate(method, networks, networks, validate, spp, "cpu").psnr}
     networks.sampler.load_state_dict(sampler.state_dict())
     psnr[name] = validation.validate(method, networks, networks, validate, spp, "cpu").psnr
     save(networks, out / f"{name}.safetensors", _card(name, task, frames, psnr, command))
@@ -129,7 +129,7 @@ def _card(
         seed=task.seed,
         command=command,
         origin=f"all but the sampler of {task.weights.name}",
-        validation_history=((0, psnr["uniform"]), (frames, psnr[name])),
+        validation_history=((0, psnr["untrained"]), (frames, psnr[name])),
         note=f"sampler alone, by {name}" + ", one policy over the image" * task.one_policy,
     )
 
@@ -167,7 +167,8 @@ def _parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(
         prog=PROGRAM,
         formatter_class=argparse.RawDescriptionHelpFormatter,
-        description="Train the sampler of `ours` or `ours/paper` alone, from a uniform density,\n"
+        description="Train the sampler of `ours` or `ours/paper` alone, from weights that request\n"
+        "the density of the contrast rule (`ours`) or a uniform one (`ours/paper`),\n"
         "behind the shipped encoder and denoiser. Write OUT/LEARNER.safetensors, and print\n"
         "the PSNR on two validation clips.\n\n"
         "Score the weights: rlbench run -m ours --weights LEARNER=FILE\n"

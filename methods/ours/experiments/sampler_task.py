@@ -1,4 +1,4 @@
-"""What a training of the sampler alone starts from: clips, frozen networks, a uniform density."""
+"""What a training of the sampler alone starts from: clips, frozen networks, a new sampler."""
 
 from __future__ import annotations
 
@@ -56,7 +56,7 @@ class SamplerTask:
         return assemble(self.config.for_training, traits, networks)
 
     def make_sampler(self) -> Sampler:
-        """A sampler with the initial weights of every training: seeded, of uniform density."""
+        """A sampler with the first weights of every training: seeded, and its actions 0."""
         config = self.config
         sampler = Networks(config).sampler
         assert sampler is not None
