@@ -69,9 +69,10 @@ def test_without_times_equal_samples_and_the_first_frame_remain(rows, tmp_path):
     assert "### Equal time" not in page
 
 
-def test_results_without_a_part_are_refused(rows, tmp_path):
+@pytest.mark.parametrize("methods", [["ours", "ntas"], ["ours/by-rule"], ["ntas"]])
+def test_results_without_ours_and_a_part_are_refused(rows, methods, tmp_path):
     with pytest.raises(MissingRowsError, match="rlbench run -m ours,ours/by-rule"):
-        parts.write(rows[rows["method"].isin(["ours", "ntas"])], tmp_path)
+        parts.write(rows[rows["method"].isin(methods)], tmp_path)
 
 
 @pytest.mark.parametrize("row", [parts.BASE, *parts.PARTS])
