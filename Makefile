@@ -148,7 +148,7 @@ takes: .venv/dev.stamp
 
 # the same at 256x256, with references of up to 768 spp: two hours of rendering, half an hour of scoring
 standard: .venv/dev.stamp
-	$(BIN)/rlbench run -m '$(COMPARED)' --preset standard --spp 0.25,0.5,1,2,4 --scores-only --out $(RESULTS)/standard
+	$(BIN)/rlbench run -m '$(COMPARED),nppd,nppd/history,ntas/history,imcd/history' --preset standard --spp 0.25,0.5,1,2,4 --scores-only --out $(RESULTS)/standard
 	$(call page,clips -m '$(RIVALS)',$(RESULTS)/standard,standard)
 	$(call page,summary,$(RESULTS)/standard,standard-all)
 
