@@ -9,9 +9,14 @@ import pandas as pd
 
 from reports.analysis.aggregate import Scores
 from reports.analysis.comparability import check_comparable, split_by_device
-from reports.analysis.curves import curves_of, measured_sample_ms
 from reports.analysis.intervals import BOOTSTRAP_SAMPLES
-from reports.analysis.network_sizes import SIZES, at_equal_latency, nearest_budget, select_sizes
+from reports.analysis.network_sizes import (
+    BASE,
+    SIZES,
+    at_equal_latency,
+    nearest_budget,
+    select_sizes,
+)
 from reports.layout import style
 from reports.layout.page import describe_clips
 from reports.layout.size_bars import MAX_PANELS, draw_sizes
@@ -58,22 +63,16 @@ def write(
 def measure_sizes(scores: Scores, seed: int = 0, draws: int = BOOTSTRAP_SAMPLES) -> pd.DataFrame:
     """`at_equal_latency` with the published budgets: empty without times of two sizes.
 
-    Added columns: `unreliable`, paper_spp and paper_share (samples in the paper's frame, and as a
+    Added columns: paper_spp and paper_share (samples in the paper's frame, and as a
     share of its base's; nan where it prints none).
     """
-    curves = sorted(curves_of(scores), key=lambda curve: list(SIZES).index(curve.method))
-    found = at_equal_latency(curves, measured_sample_ms(scores), seed, draws)
+    found = at_equal_latency(scores, list(SIZES), BASE, seed, draws)
     if found.empty or found["method"].nunique() < 2:
         return pd.DataFrame()
     study = published().network_study
     printed = {times.row: times.spp for times in study.rows}
     spp = found["method"].map(printed).astype(float)
-    doubted = set(scores.points.loc[scores.points["unreliable"], "method"])
-    return found.assign(
-        unreliable=found["method"].isin(doubted),
-        paper_spp=spp,
-        paper_share=spp / printed[study.rows[0].row],
-    )
+    return found.assign(paper_spp=spp, paper_share=spp / printed[study.rows[0].row])
 
 
 def _select_budgets(latencies: pd.DataFrame) -> pd.DataFrame:

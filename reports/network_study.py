@@ -22,6 +22,7 @@ from reports.layout.tables import (
     Table,
     format_difference,
     format_ms,
+    format_samples,
     pivot_by_budget,
 )
 from reports.published import published
@@ -151,14 +152,13 @@ def _latency_table(latencies: pd.DataFrame, order: list[str]) -> Table:
     lines = []
     for row in (row for row in order if row in at.index):
         found: dict[Any, Any] = dict(at.loc[row])
-        bound, mark = ">= " * bool(found["is_bound"]), UNRELIABLE_MARK * bool(found["unreliable"])
         is_fit = found["spp"] == found["spp"]
         gap = format_difference(found) if is_fit and row != BASE else "-"
         printed = study.find(row)
         lines.append(
             (
                 row,
-                f"{bound}{found['spp']:.2f}{mark}" if is_fit else "none",
+                format_samples(found),
                 _format_ratio(found["share"]),
                 f"{found['value']:.2f}" if is_fit else "-",
                 gap,

@@ -2,15 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Hashable, Mapping
 from pathlib import Path
-from typing import Any
 
 import pandas as pd
 
 from reports.analysis.aggregate import Scores
 from reports.analysis.comparability import check_comparable, split_by_device
-from reports.analysis.curves import curves_of, measured_sample_ms
 from reports.analysis.intervals import BOOTSTRAP_SAMPLES
 from reports.analysis.multiplicity import correct_by_holm, difference_notes
 from reports.analysis.network_sizes import at_equal_latency
@@ -22,6 +19,7 @@ from reports.layout.tables import (
     UNRELIABLE_MEANING,
     Table,
     format_difference,
+    format_samples,
     pivot_by_budget,
 )
 from rlbench.benchmark.results import MissingRowsError
@@ -110,15 +108,11 @@ def _keep_first_frames(rows: pd.DataFrame) -> pd.DataFrame:
 
 def _at_equal_time(scores: Scores, rows: list[str], seed: int, draws: int) -> pd.DataFrame:
     """Each row in the frame time of BASE; empty without times of BASE and of another row."""
-    curves = [curve for curve in curves_of(scores) if curve.method in (BASE, *rows)]
-    found = at_equal_latency(curves, measured_sample_ms(scores), seed, draws, BASE)
+    found = at_equal_latency(scores, [BASE, *rows], BASE, seed, draws)
     if found.empty:
         return found
-    doubted = set(scores.points.loc[scores.points["unreliable"], "method"])
-    others = found[(found["method"] != BASE) & found["spp"].notna()].rename(
-        columns={"base_spp": "target_spp"}
-    )
-    return others.assign(unreliable=others["method"].isin(doubted))
+    others = found[(found["method"] != BASE) & found["spp"].notna()]
+    return others.rename(columns={"base_spp": "target_spp"})
 
 
 def _gap_table(title: str, caption: str, records: pd.DataFrame) -> Table:
@@ -133,7 +127,7 @@ def _gap_table(title: str, caption: str, records: pd.DataFrame) -> Table:
 
 def _time_tables(scores: Scores, records: pd.DataFrame) -> tuple[Table, Table]:
     order = [row for row in PARTS if row in set(records["method"])]
-    header, rows = pivot_by_budget(records, _format_samples, order)
+    header, rows = pivot_by_budget(records, format_samples, order)
     columns = ", ".join(
         f"{spp:g} spp: {ms:.1f} ms"
         for spp, ms in sorted(set(zip(records["target_spp"], records["deadline_ms"], strict=True)))
@@ -151,10 +145,3 @@ def _time_tables(scores: Scores, records: pd.DataFrame) -> tuple[Table, Table]:
         f"was measured; -: no measured budget fits. {UNRELIABLE_MARK}: {UNRELIABLE_MEANING}."
     )
     return gap_table, Table("Samples at equal time", caption, ("row", *header[1:]), tuple(rows))
-
-
-def _format_samples(record: Mapping[Hashable, Any]) -> str:
-    spp = record["spp"]
-    return (
-        f"{'>= ' * bool(record['is_bound'])}{spp:.2f}{UNRELIABLE_MARK * bool(record['unreliable'])}"
-    )

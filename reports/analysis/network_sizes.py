@@ -8,7 +8,8 @@ from collections.abc import Iterable, Sequence
 import numpy as np
 import pandas as pd
 
-from reports.analysis.curves import Curve
+from reports.analysis.aggregate import Scores
+from reports.analysis.curves import curves_of, measured_sample_ms
 from reports.analysis.intervals import BOOTSTRAP_SAMPLES, UNKNOWN, interval_of
 from reports.analysis.method_names import only_label, without_label
 from reports.analysis.multiplicity import correct_by_holm, difference_columns
@@ -51,19 +52,26 @@ def select_sizes(results: pd.DataFrame) -> tuple[pd.DataFrame, str]:
 
 
 def at_equal_latency(
-    curves: Sequence[Curve],
-    sample_ms: float,
+    scores: Scores,
+    rows: Sequence[str],
+    base_name: str = BASE,
     seed: int = 0,
     draws: int = BOOTSTRAP_SAMPLES,
-    base_name: str = BASE,
 ) -> pd.DataFrame:
-    """Each row in the frame time that the base has at each of its budgets; empty without the base.
+    """Each of `rows` in the frame time that the base, one of them, has at each of its budgets.
+
+    Empty without times of the base. In the order of `rows`.
 
     Columns method, base_spp, deadline_ms, spp (the best budget in this time, between the measured
     ones; nan: none fits), share (of the base's samples), is_bound (more samples would fit than were
-    measured), value, and those of `difference_columns` (value minus the base's, paired by scene).
+    measured), unreliable (a time of the row failed its test), value, and those of
+    `difference_columns` (value minus the base's, paired by scene).
     """
-    base = next((curve for curve in curves if curve.method == base_name), None)
+    known = {curve.method: curve for curve in curves_of(scores)}
+    curves = [known[row] for row in rows if row in known]
+    sample_ms = measured_sample_ms(scores)
+    doubted = set(scores.points.loc[scores.points["unreliable"], "method"])
+    base = known.get(base_name)
     if base is None:
         return pd.DataFrame()
     records = []
@@ -73,9 +81,9 @@ def at_equal_latency(
         for curve in curves:
             limit = np.array(deadline)
             spp = base_spp if curve is base else float(curve.best_spp(np.array(sample_ms), limit))
-            scores = curve.units_at(np.array(spp))
+            units = curve.units_at(np.array(spp))
             is_compared = curve is not base and not math.isnan(spp)
-            gap = interval_of(scores - base.units_at(own), seed, draws) if is_compared else UNKNOWN
+            gap = interval_of(units - base.units_at(own), seed, draws) if is_compared else UNKNOWN
             most = float(curve.frame_ms(np.array(sample_ms))[-1])
             records.append(
                 {
@@ -84,8 +92,9 @@ def at_equal_latency(
                     "deadline_ms": deadline,
                     "spp": spp,
                     "share": spp / base_spp,
+                    "unreliable": curve.method in doubted,
                     "is_bound": curve is not base and most < AT_MOST * deadline,
-                    "value": float(scores.mean()),
+                    "value": float(units.mean()),
                     **difference_columns(gap),
                 }
             )

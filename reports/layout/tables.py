@@ -18,6 +18,7 @@ __all__ = [
     "Table",
     "format_difference",
     "format_ms",
+    "format_samples",
     "pivot_by_budget",
     "rank_rows",
     "to_markdown",
@@ -68,6 +69,18 @@ def format_ms(ms: float, unreliable: bool, decimals: int = 1, sign: str = "") ->
     if pd.isna(ms):
         return "-"
     return f"{ms:{sign}.{decimals}f}{UNRELIABLE_MARK * unreliable}"
+
+
+def format_samples(record: Mapping[Hashable, Any]) -> str:
+    """The samples per pixel of a row of `at_equal_latency`; `none` where no budget fits.
+
+    >>> format_samples({"spp": 4.0, "is_bound": True, "unreliable": False})
+    '>= 4.00'
+    """
+    if pd.isna(record["spp"]):
+        return "none"
+    mark = UNRELIABLE_MARK * bool(record["unreliable"])
+    return f"{'>= ' * bool(record['is_bound'])}{record['spp']:.2f}{mark}"
 
 
 def pivot_by_budget(
