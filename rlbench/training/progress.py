@@ -33,8 +33,11 @@ class Progress:
     steps: int = 0  # of the optimiser
     seconds: float = 0.0
     frames_per_second: float = 0.0  # in the last sequence, without validation
-    # pairs of frames seen and validation PSNR in dB
+    # pairs of frames seen and validation PSNR in dB, the mean over the validation sets
     validation_history: list[tuple[int, float]] = field(default_factory=list)
+    # by validation set: frames seen, mean PSNR of all frames, and of the first frame of each clip
+    curves: dict[str, list[tuple[int, float, float]]] = field(default_factory=dict)
+    best: tuple[int, float] | None = None  # frames seen and PSNR of the best validation, if kept
     config: dict[str, Any] = field(default_factory=dict)  # with the method and the training clips
     config_changes: list[str] = field(default_factory=list)
 

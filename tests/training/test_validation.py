@@ -36,12 +36,12 @@ def test_averaged_weights_are_scored_and_the_networks_keep_theirs(tmp_path):
     average = copy.deepcopy(task.networks)
     torch.nn.init.zeros_(average.weight)  # a black image
     before = copy.deepcopy(task.networks.state_dict())
-    black = validation.validate(task.method, task.networks, average, [clip], [1.0], "cpu")
+    black = validation.validate(task.method, task.networks, average, {"noise": [clip]}, [1.0], "cpu")
     torch.testing.assert_close(task.networks.state_dict(), before, rtol=0, atol=0)
-    own = validation.validate(task.method, task.networks, task.networks, [clip], [1.0], "cpu")
+    own = validation.validate(task.method, task.networks, task.networks, {"noise": [clip]}, [1.0], "cpu")
     assert black.psnr != own.psnr
     assert black.preview.shape == (3, 24, 48)
     assert torch.equal(black.preview[..., :24], torch.zeros(3, 24, 24))
     black_method = replace(task.method, net=average)
-    other = validation.validate(black_method, average, average, [clip], [1.0], "cpu")
+    other = validation.validate(black_method, average, average, {"noise": [clip]}, [1.0], "cpu")
     assert other.psnr == black.psnr
