@@ -49,9 +49,8 @@ class ModelCard:
     """
 
     name: str  # of the method, as on the command line
-    # the clips trained on: name, a space, digest; or names alone, with one digest of them all
+    # the clips trained on: name, a space, digest; or names alone, with `data_digest`
     data: tuple[str, ...] = ()
-    data_digest: str = ""  # empty where each clip has its own
     frames_seen: int = 0  # crops drawn; every frame of every clip in a batch counts
     steps: int = 0  # of the optimizer
     seconds: float = 0.0  # training time
@@ -65,6 +64,7 @@ class ModelCard:
     validation_history: tuple[tuple[int, float], ...] = ()  # (frames seen, PSNR in dB)
     # by validation set: (frames seen, PSNR in dB, PSNR of first frames in dB)
     curves: dict[str, tuple[tuple[int, float, float], ...]] = field(default_factory=dict)
+    data_digest: str = ""  # of all clips together, where they are many
     kept_at: int = 0  # frames seen when the weights were these; 0 where that is not known
     note: str = ""
     licence: str = "Apache-2.0"

@@ -125,8 +125,8 @@ class Batches:
     ) -> Batches:
         """Batches for a training config and a method with these traits."""
         shape = (config.batch, config.crop, config.sequence_length)
-        options = (config.seed, device, traits.pool, traits.inputs, mixed_in, config.mix)
-        return cls(clips, *shape, *options)
+        sources = (traits.pool, traits.inputs, mixed_in, config.mix)
+        return cls(clips, *shape, config.seed, device, *sources)
 
     def __post_init__(self) -> None:
         """Raise BatchError if there are no clips, or if `mix` and `mixed_in` contradict."""

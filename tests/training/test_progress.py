@@ -52,6 +52,8 @@ def test_progress_with_the_old_field_names_is_read():
         "seconds": 1.5,
         "frames_per_second": 9.0,
         "validation_history": [(6, 20.5)],
+        "curves": {},
+        "best": None,
         "config": {
             "frames": 24,
             "sequence_length": 3,
