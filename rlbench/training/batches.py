@@ -125,8 +125,9 @@ class Batches:
     ) -> Batches:
         """Batches for a training config and a method with these traits."""
         shape = (config.batch, config.crop, config.sequence_length)
-        sources = (traits.pool, traits.inputs, mixed_in, config.mix)
-        return cls(clips, *shape, config.seed, device, *sources)
+        return cls(
+            clips, *shape, config.seed, device, traits.pool, traits.inputs, mixed_in, config.mix
+        )
 
     def __post_init__(self) -> None:
         """Raise BatchError if there are no clips, or if `mix` and `mixed_in` contradict."""

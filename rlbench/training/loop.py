@@ -19,15 +19,10 @@ from rlbench.training import checkpoint, own_clips, replay, validation
 from rlbench.training.batches import Batches, prefetch, sequence_budget
 from rlbench.training.config import TrainingConfig
 from rlbench.training.logger import TrainingLogger
-from rlbench.training.progress import Progress, describe_changes
+from rlbench.training.progress import Progress, combine_digests, describe_changes
 from rlbench.training.task import TrainingError, TrainingTask
 from rlbench.training.train_state import NonFiniteStepError, TrainState
-from rlbench.training.trained_weights import (
-    combine_digests,
-    frames_in_weights,
-    save_weights,
-    weights_path,
-)
+from rlbench.training.trained_weights import frames_in_weights, save_weights, weights_path
 
 __all__ = ["TrainingResult", "check_budgets", "train"]
 

@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import copy
 import json
-from collections.abc import Mapping, Sequence
-from hashlib import sha256
+from collections.abc import Mapping
 from pathlib import Path
 
 import torch
@@ -13,10 +12,10 @@ import torch
 from rlbench import weights
 from rlbench.method import config_json
 from rlbench.system import provenance
-from rlbench.training.progress import Progress
+from rlbench.training.progress import Progress, combine_digests
 from rlbench.training.train_state import TrainState
 
-__all__ = ["combine_digests", "frames_in_weights", "save_weights", "weights_path"]
+__all__ = ["frames_in_weights", "save_weights", "weights_path"]
 
 MAX_DIGESTS = 32  # clips whose digests a card lists; more have one together
 
@@ -87,15 +86,6 @@ def save_weights(
         note="; ".join(filter(None, (remark, kept, progress.note(config.frames)))),
     )
     weights.save(networks, file, card)
-
-
-def combine_digests(clips: Sequence[str]) -> str:
-    """One digest of clips, 12 hex digits, from the name and digest of each.
-
-    >>> combine_digests(["city 0123", "hall 4567"])
-    'c1bd31797d1e'
-    """
-    return sha256("\n".join(clips).encode()).hexdigest()[:12]
 
 
 def _describe_device(device: torch.device) -> str:
