@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -49,7 +49,8 @@ class ModelCard:
     """
 
     name: str  # of the method, as on the command line
-    data: tuple[str, ...] = ()  # the clips trained on: name, a space, digest; or name alone
+    # the clips trained on: name, a space, digest; or names alone, with `data_digest`
+    data: tuple[str, ...] = ()
     frames_seen: int = 0  # crops drawn; every frame of every clip in a batch counts
     steps: int = 0  # of the optimizer
     seconds: float = 0.0  # training time
@@ -61,6 +62,10 @@ class ModelCard:
     method_config: str = ""  # the configuration of the method, JSON
     origin: str = ""  # published weights: these, or where training started; empty for random ones
     validation_history: tuple[tuple[int, float], ...] = ()  # (frames seen, PSNR in dB)
+    # by validation set: (frames seen, PSNR in dB, PSNR of first frames in dB)
+    curves: dict[str, tuple[tuple[int, float, float], ...]] = field(default_factory=dict)
+    data_digest: str = ""  # of all clips together, where they are many
+    kept_at: int = 0  # frames seen when the weights were these; 0 where that is not known
     note: str = ""
     licence: str = "Apache-2.0"
     sha256: str = ""  # of the safetensors file
@@ -174,10 +179,12 @@ def training_clips(path: Path | None) -> frozenset[str]:
     Empty without weights (None) and without a readable card.
     """
     try:
-        data = read_card(path).data if path else ()
+        card = read_card(path) if path else None
     except WeightsError:
-        return frozenset()
-    return frozenset(clip.rpartition(" ")[0] or clip for clip in data)
+        card = None
+    if card is None or card.data_digest:
+        return frozenset(card.data if card else ())
+    return frozenset(clip.rpartition(" ")[0] or clip for clip in card.data)
 
 
 def _fields(card: ModelCard) -> dict[str, Any]:

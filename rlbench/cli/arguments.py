@@ -25,8 +25,10 @@ __all__ = [
     "parse_budgets",
     "parse_crop",
     "parse_definition",
+    "parse_keep",
     "parse_positive",
     "parse_seeds",
+    "parse_share",
     "parse_size",
     "parse_sizes",
     "parse_train_spp",
@@ -200,6 +202,28 @@ def parse_positive(text: str) -> float:
     if not 0 < number < math.inf:
         raise typer.BadParameter(f"'{text}' is no number above 0")
     return number
+
+
+@text_parser
+def parse_share(text: str) -> float:
+    """A number between 0 and 1, both excluded."""
+    try:
+        share = float(text)
+    except ValueError:
+        share = math.nan
+    if not 0 < share < 1:
+        raise typer.BadParameter(
+            f"'{text}' is no share. Give a number between 0 and 1, such as 0.5"
+        )
+    return share
+
+
+@text_parser
+def parse_keep(text: str) -> str:
+    """Which weights of a training are saved: last, best or best:SET."""
+    if not re.fullmatch(r"last|best(:.+)?", text):
+        raise typer.BadParameter(f"'{text}' is none of last, best and best:SET")
+    return text
 
 
 @text_parser

@@ -62,9 +62,12 @@ def training(title: str, frames: int) -> Iterator[Callable[[TrainingProgress, fl
 
 
 def training_status(progress: TrainingProgress, loss: float) -> str:
-    """Loss, last validation and speed of a training."""
+    """Loss, last validation, that of each of several sets, and speed of a training."""
     parts = [f"loss {loss:.4f}"]
     parts += [f"validation {psnr:.2f} dB" for _, psnr in progress.validation_history[-1:]]
+    if len(progress.curves) > 1:
+        sets = (f"{name} {curve[-1][1]:.2f}" for name, curve in progress.curves.items())
+        parts[-1] += f" ({', '.join(sets)})"
     return ", ".join([*parts, f"{progress.frames_per_second:.1f} frames/s"])
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 import shlex
 import sys
 from dataclasses import replace
@@ -11,16 +12,14 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from rlbench.cli import arguments, options, training_options
-from rlbench.cli.arguments import Budgets, Seeds
+from rlbench.cli import arguments, options, training_clips, training_options
+from rlbench.cli.arguments import Budgets
 from rlbench.cli.plugins import load_plugins
 from rlbench.cli.verbosity import note
 from rlbench.errors import OptionError
 
 if TYPE_CHECKING:
-    from rlbench.parallel.executor import Executor
     from rlbench.training.config import TrainingConfig
-    from rlbench.training.dataset import TrainingSplit
     from rlbench.training.runs import TrainingRuns
 
 __all__ = ["lr_find", "replay", "train", "training_config", "training_runs"]
@@ -49,6 +48,10 @@ def train(
     quick: training_options.Quick = False,
     preset: training_options.Preset = None,
     seeds: options.SceneSeeds = None,
+    clips: training_options.Clips = None,
+    mix: training_options.Mix = None,
+    validate: training_options.Validate = None,
+    keep: training_options.Keep = "last",
     holdout: training_options.Holdout = None,
     device: options.Device = "auto",
     out: training_options.RunsFolder = Path("runs"),
@@ -56,9 +59,10 @@ def train(
     """Train methods, or resume their training.
 
     The clips are generated scenes, none of which belongs to a test set; missing ones are rendered
-    first. With --holdout, they are all test scenes of a preset except one, as in the papers. With
-    --quick, they are procedural and there at once, and the run lies in NAME-quick.
-    docs/how-to/train-a-method.md describes the training.
+    first. With --clips, they are your own, alone or mixed with those of --preset. With --holdout,
+    they are all test scenes of a preset except one, as in the papers. With --quick, they are
+    procedural and there at once, and the run lies in NAME-quick. docs/how-to/train-a-method.md
+    describes the training.
 
     Examples:
 
@@ -67,6 +71,8 @@ def train(
       rlbench train --methods ours,ntas
       rlbench train -m ours --minutes 30 --device cuda
       rlbench train -m ours --seeds 0:40 --train-spp 0.5,1
+      rlbench train -m ours --clips my_clips/ --preset train --mix 0.7
+      rlbench train -m ours --clips 'shots/*' --validate development,mine=held_out/ --keep best
       rlbench train -m ntas --holdout hall --preset standard
     """
     load_plugins(plugin)
@@ -81,17 +87,22 @@ def train(
     limit = TimeLimit(math.inf if minutes is None else minutes)
     default = training_options.QUICK_FRAMES if quick else training_options.DEFAULT_FRAMES
     config = training_config(frames or default, batch, crop, seed, max_grad_norm, bf16, train_spp)
+    config = replace(config, mix=training_clips.mix_share(mix, preset, seeds, clips), keep=keep)
     runs = training_runs(out, config, device, minutes, allow_config_change)
     runs.check(names)
     if quick:
-        _refuse_other_clips(preset, seeds, holdout)
-        split = dataset.split_quick(_pools(names))
+        training_clips.refuse_other_clips(preset, seeds, holdout, clips, validate)
+        split = dataset.split_quick(training_clips.pool_kinds(names))
     else:
         if holdout is None:
-            _announce_rendering(preset or "train", seeds)
-        split = _split(names, preset, seeds, holdout, TimeLimitedExecutor(limit))
+            training_clips.announce_rendering(preset, seeds, clips)
+        chosen = (preset, seeds, holdout, clips, validate)
+        split = training_clips.select_split(names, *chosen, TimeLimitedExecutor(limit))
     if split.remark:
         note(split.remark)
+    if clips or validate:
+        runs.check_clips(names, split)
+        note(split.summary)
     runs = replace(runs, minutes=limit.minutes_left, suffix="-quick" if quick else "")
     if hint := tensorboard_hint():
         note(hint)
@@ -115,6 +126,8 @@ def lr_find(
     seed: training_options.Seed = 0,
     preset: training_options.Preset = None,
     seeds: options.SceneSeeds = None,
+    clips: training_options.Clips = None,
+    mix: training_options.Mix = None,
     holdout: training_options.Holdout = None,
     device: options.Device = "auto",
     out: training_options.RunsFolder = Path("runs"),
@@ -136,9 +149,12 @@ def lr_find(
 
     check_writable(out)
     config = training_config(frames, batch, crop, seed, max_grad_norm, bf16, train_spp)
+    config = replace(config, mix=training_clips.mix_share(mix, preset, seeds, clips))
     runs = training_runs(out, config, device)
     runs.check(names)
-    split = _split(names, preset, seeds, holdout)
+    split = training_clips.select_split(names, preset, seeds, holdout, clips)
+    if clips:
+        runs.check_clips(names, split)
     for name in names:
         result = runs.find_learning_rate(name, split)
         typer.echo(
@@ -214,7 +230,7 @@ def training_runs(
         config,
         selected,
         math.inf if minutes is None else minutes,
-        shlex.join(["rlbench", *sys.argv[1:]]),
+        _reproducing_command(sys.argv[1:]),
         allow_config_change,
         console.training,
     )
@@ -243,45 +259,11 @@ def _trainable(patterns: list[str]) -> list[str]:
     return trainable
 
 
-def _split(
-    names: list[str],
-    preset: str | None,
-    seeds: Seeds | None,
-    holdout: str | None,
-    executor: Executor | None = None,
-) -> TrainingSplit:
-    """Clips for the training of these methods; renders those that are missing."""
-    from rlbench.training import dataset
+def _reproducing_command(words: list[str]) -> str:
+    """The command for model cards, without the folders of this machine: names of paths alone.
 
-    return dataset.select_split(preset, seeds, holdout, _pools(names), executor=executor)
-
-
-def _pools(names: list[str]) -> set[str]:
-    """The kinds of sample pool that the methods draw from."""
-    from rlbench import registry
-
-    return {registry.get_variant(name).traits.pool for name in names}
-
-
-def _announce_rendering(preset: str, seeds: Seeds | None) -> None:
-    """Say how many training clips are rendered before the training begins."""
-    from rlbench.render.presets import PRESETS
-    from rlbench.training import dataset
-
-    if preset not in PRESETS:  # an error that suggests the nearest name follows
-        return
-    missing, total = dataset.count_unrendered(preset, seeds)
-    if missing:
-        note(
-            f"{missing} of {total} training clips have to be rendered first. --quick tries the "
-            "training on clips that need no rendering"
-        )
-
-
-def _refuse_other_clips(preset: str | None, seeds: Seeds | None, holdout: str | None) -> None:
-    """Raise OptionError for options that choose clips, which --quick has of its own."""
-    chosen = {"--preset": preset, "--seeds": seeds, "--holdout": holdout}
-    if given := [option for option, value in chosen.items() if value is not None]:
-        raise OptionError(
-            f"--quick trains on clips of its own, and {given[0]} chooses others. Omit one of them"
-        )
+    >>> _reproducing_command(["train", "-m", "ours/A1", "--clips", "/home/me/a,/home/me/b/"])
+    'rlbench train -m ours/A1 --clips a,b/'
+    """
+    absolute = re.compile(r"(?<![^,=])[/~][^,=]*/(?=[^,/=]+)|(?<![^,=])[/~](?=[^,/=]+)")
+    return shlex.join(["rlbench", *(absolute.sub("", word) for word in words)])

@@ -91,10 +91,48 @@ Preset = Annotated[
     str | None,
     typer.Option(
         "--preset",
-        metavar="PRESET",
-        help="clips to train on; default: train, or mini with --holdout",
+        metavar="PRESETS",
+        help="clips to train on, a or a,b; default: train, or mini with --holdout",
         autocompletion=complete_names("presets"),
         rich_help_panel=options.CLIPS,
+    ),
+]
+Clips = Annotated[
+    list[str] | None,
+    typer.Option(
+        "--clips",
+        metavar="FOLDERS",
+        help="clips of your own to train on, folders or patterns a,b, alone or mixed with "
+        "--preset; can be repeated",
+        rich_help_panel=options.CLIPS,
+    ),
+]
+Mix = Annotated[
+    float | None,
+    typer.Option(
+        parser=arguments.parse_share,
+        metavar="SHARE",
+        help="share of the crops from --clips where --preset is given too; default: 0.5",
+        rich_help_panel=options.CLIPS,
+    ),
+]
+Validate = Annotated[
+    list[str] | None,
+    typer.Option(
+        metavar="[NAME=]SET",
+        help="clips to validate on: folders, or presets for decisions such as development, a,b; "
+        "each is a set with a curve; default: some of those to train on",
+        rich_help_panel=options.CLIPS,
+    ),
+]
+Keep = Annotated[
+    str,
+    typer.Option(
+        parser=arguments.parse_keep,
+        metavar="last|best|best:SET",
+        help="which averaged weights to save: the last ones, or those of the best validation, by "
+        "the mean over the sets or by one of them",
+        rich_help_panel=TRAINING,
     ),
 ]
 Holdout = Annotated[

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Collection
 from dataclasses import dataclass, replace
 from typing import Literal, cast, get_args
@@ -17,9 +18,11 @@ __all__ = [
     "TEST_SCENES",
     "Preset",
     "PresetError",
+    "PresetUse",
     "TakeSelection",
     "UnknownPresetError",
     "get_preset",
+    "is_clip_for",
     "is_test_split",
 ]
 
@@ -27,6 +30,7 @@ TEST_SCENES = ("city", "temple", "hall", "ripples")
 PATH_AND_RESTIR = ("path", "restir")  # entry points in the group rlbench.pools
 GENERATORS = ("generated", "eventful")  # scene entry points that take a seed; clips <name>-<seed>
 TakeSelection = Literal["main", "all"]
+PresetUse = Literal["train", "decide", "report"]
 
 
 class PresetError(RlbenchError, ValueError):
@@ -52,7 +56,8 @@ class Preset:
     scenes: tuple[str, ...] = TEST_SCENES  # entry points in the group rlbench.scenes
     seeds: tuple[int, ...] = ()  # of generated scenes
     generator: str = GENERATORS[0]  # entry point that generates them
-    is_test_set: bool = True  # scored clips, which must not be trained on?
+    # what its clips may be used for: to train, to decide while developing, or to be reported alone
+    uses: tuple[PresetUse, ...] = ("report",)
     takes: TakeSelection = "main"  # clips per scene: the main one, or one for each take as well
     pool_spp: int = 8  # stored 1-spp images per frame
     radiance_cap: float = math.inf  # upper bound of each sample, in display whites
@@ -64,6 +69,16 @@ class Preset:
         "path",
     )  # others come from plugins, where this machine can trace them
     extra_buffers: tuple[str, ...] = ()  # G-buffer channels beside those that every clip has
+
+    @property
+    def is_test_set(self) -> bool:
+        """Are its clips scored, and never trained on?"""
+        return "train" not in self.uses
+
+    @property
+    def scene_names(self) -> tuple[str, ...]:
+        """The names of its scenes; a generated one is called after its generator and seed."""
+        return (*self.scenes, *(f"{self.generator}-{seed:03d}" for seed in self.seeds))
 
     @property
     def paths_per_clip(self) -> int:
@@ -160,7 +175,7 @@ PRESETS = {
             64,
             (),
             tuple(range(28)),
-            is_test_set=False,
+            uses=("train", "decide"),
             pools=PATH_AND_RESTIR,
         ),
         # halves of 32 spp: a noise ceiling of 33 dB, for 150 scenes in the time of 50
@@ -173,7 +188,7 @@ PRESETS = {
             (),
             tuple(range(128, 278)),
             generator="eventful",
-            is_test_set=False,
+            uses=("train", "decide"),
         ),
         Preset(
             "development",
@@ -183,6 +198,7 @@ PRESETS = {
             64,
             (),
             tuple(range(40, 56)),
+            uses=("decide",),
         ),
         Preset(
             "unseen",
@@ -200,10 +216,36 @@ PRESETS = {
 def is_test_split(preset: str) -> bool:
     """Are clips of this preset scored, and never trained on? True for presets of other packages.
 
-    >>> is_test_split("unseen"), is_test_split("train"), is_test_split("")
+    >>> is_test_split("unseen"), is_test_split("train-views"), is_test_split("")
     (True, False, False)
     """
-    return bool(preset) and (preset not in PRESETS or PRESETS[preset].is_test_set)
+    return bool(preset) and "train" not in _uses(preset)
+
+
+def is_clip_for(use: PresetUse, preset: str, scene: str, name: str) -> bool:
+    """May a clip be used so, by the preset, scene and name in its header?
+
+    A clip of another scene, rendered at the size of a preset, does not belong to that preset.
+
+    >>> is_clip_for("train", "mini", "hall", "hall-night"), is_clip_for("train", "", "mine", "mine")
+    (False, True)
+    >>> is_clip_for("train", "mini", "mine", "mine-orbit")
+    True
+    """
+    known = PRESETS.get(_base(preset))
+    shown = {scene, name, name.rpartition("-")[0]}  # the last one of a take
+    is_foreign = known is not None and not shown & set(known.scene_names)
+    return not preset or is_foreign or use in _uses(preset)
+
+
+def _base(preset: str) -> str:
+    """The preset of which a name with a radiance cap or extra buffers is a variant."""
+    return re.sub(r"-(cap[^-]*|views)", "", preset)
+
+
+def _uses(preset: str) -> tuple[PresetUse, ...]:
+    known = PRESETS.get(_base(preset))
+    return known.uses if known else ("report",)
 
 
 def get_preset(name: str) -> Preset:

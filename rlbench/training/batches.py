@@ -6,19 +6,31 @@ import hashlib
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from functools import cached_property
 from pathlib import Path
 
 import torch
 from torch import Tensor
 
-from rlbench.clips.stored import DEFAULT_INPUTS, InMemoryClip, open_clip
+from rlbench.clips.stored import DEFAULT_INPUTS, InMemoryClip, StoredClip, open_clip
 from rlbench.errors import RlbenchError
 from rlbench.family import Traits
 from rlbench.frames import Frame, GBuffer, Reference, StoredPool
 from rlbench.training.config import TrainingConfig
 
-__all__ = ["Augmentation", "BatchError", "Batches", "prefetch", "sample_budget"]
+__all__ = [
+    "TRAINING_INPUTS",
+    "Augmentation",
+    "BatchError",
+    "Batches",
+    "pool_slots",
+    "prefetch",
+    "sample_budget",
+    "sequence_budget",
+]
+
+TRAINING_INPUTS = frozenset({"albedo", "normal", "motion"})  # read for every method
 
 
 class BatchError(RlbenchError, ValueError):
@@ -81,6 +93,11 @@ class Augmentation:
 class Batches:
     """Random sequences of crops; sequence `index` is the same in every run with the same seed.
 
+    Every clip of `clips` is drawn with equal probability. With `mixed_in`, a crop is from one of
+    those with probability `mix`, and from `clips` otherwise. Clips may differ in size, length and
+    stored samples: the clips of one batch have equally many samples, and the longer ones end with
+    the shortest. Each clip's own share is the same as without batches.
+
     Raises BatchError if there are no clips, or if a drawn clip is smaller than a crop.
     """
 
@@ -94,39 +111,75 @@ class Batches:
     inputs: frozenset[str] = (
         DEFAULT_INPUTS  # G-buffer channels to load besides albedo, normal and motion
     )
+    mixed_in: Sequence[Path] = ()  # clip folders that are drawn less or more often
+    mix: float = 0.0  # share of crops from `mixed_in`; 0 without
 
     @classmethod
     def from_config(
-        cls, clips: Sequence[Path], config: TrainingConfig, traits: Traits, device: str
+        cls,
+        clips: Sequence[Path],
+        config: TrainingConfig,
+        traits: Traits,
+        device: str,
+        mixed_in: Sequence[Path] = (),
     ) -> Batches:
         """Batches for a training config and a method with these traits."""
         shape = (config.batch, config.crop, config.sequence_length)
-        return cls(clips, *shape, config.seed, device, traits.pool, traits.inputs)
+        return cls(
+            clips, *shape, config.seed, device, traits.pool, traits.inputs, mixed_in, config.mix
+        )
 
     def __post_init__(self) -> None:
-        """Raise BatchError if there are no clips."""
+        """Raise BatchError if there are no clips, or if `mix` and `mixed_in` contradict."""
         if not self.clips:
             raise BatchError(
                 "There are no clips to train on. To render some: rlbench render --preset train"
             )
+        if not (0 < self.mix < 1 if self.mixed_in else self.mix == 0):
+            raise BatchError(
+                f"{len(self.mixed_in)} clips are mixed in at a share of {self.mix:g}. Give clips "
+                "and a share between 0 and 1, or neither"
+            )
+
+    @cached_property
+    def opened(self) -> tuple[StoredClip, ...]:
+        """All clips in order, first those that are not mixed in; opened once."""
+        inputs = self.inputs | TRAINING_INPUTS
+        return tuple(
+            open_clip(folder, inputs, pool=self.pool, device=self.device)
+            for folder in (*self.clips, *self.mixed_in)
+        )
 
     def clip_digests(self) -> list[str]:
         """Name and hash of each clip, for model cards and checkpoints."""
-        opened = [open_clip(folder, pool=self.pool) for folder in self.clips]
-        return [f"{clip.name} {clip.digest[:12]}" for clip in opened]
+        return [f"{clip.name} {clip.digest[:12]}" for clip in self.opened]
 
     def sequence(self, index: int) -> InMemoryClip:
         """A clip with a batch of crops as its frames; as long as the shortest of them."""
         generator = torch.Generator().manual_seed(self.seed * 1_000_003 + index)
-        crops = [self._draw_crop(generator) for _ in range(self.batch)]
+        first = self._draw_clip(generator, range(len(self.opened)))
+        slots = self.opened[first].max_samples
+        alike = [n for n, clip in enumerate(self.opened) if clip.max_samples == slots]
+        crops = [self._draw_crop(generator, first)]
+        for _ in range(1, self.batch):
+            crops.append(self._draw_crop(generator, self._draw_clip(generator, alike)))
         frames = [_stack(batch) for batch in zip(*crops, strict=False)]
         return InMemoryClip(f"sequence {index}", "training", "", frames)
 
-    def _draw_crop(self, generator: torch.Generator) -> list[Frame]:
-        folder = self.clips[_draw_integer(generator, len(self.clips))]
+    def _draw_clip(self, generator: torch.Generator, candidates: Sequence[int]) -> int:
+        """One of the candidates, each with its probability given that it is one of them."""
+        group = [number for number in candidates if number < len(self.clips)]
+        if self.mixed_in:
+            mixed = candidates[len(group) :]
+            share = (1 - self.mix) * len(group) / len(self.clips)
+            total = share + self.mix * len(mixed) / len(self.mixed_in)
+            is_mixed = float(torch.rand((), generator=generator)) * total >= share
+            group = list(mixed) if is_mixed else group
+        return group[_draw_integer(generator, len(group))]
+
+    def _draw_crop(self, generator: torch.Generator, number: int) -> list[Frame]:
         sample_order = _draw_integer(generator, 2**31)
-        inputs = self.inputs | {"albedo", "normal", "motion"}
-        clip = open_clip(folder, inputs, pool=self.pool, seed=sample_order, device=self.device)
+        clip = replace(self.opened[number], seed=sample_order)
         if self.crop > min(clip.size.h, clip.size.w):
             raise BatchError(
                 f"Crops of {self.crop} x {self.crop} pixels were requested, but clip '{clip.name}' "
@@ -152,6 +205,17 @@ def sample_budget(budgets: Sequence[float], seed: int, index: int) -> float:
     """
     key = hashlib.blake2b(f"{seed}/{index}/budget".encode(), digest_size=8).digest()
     return budgets[int.from_bytes(key) % len(budgets)]
+
+
+def sequence_budget(clip: InMemoryClip, budgets: Sequence[float], seed: int, index: int) -> float:
+    """The budget of sequence `index`, but no more than the samples that its clips store."""
+    return min(sample_budget(budgets, seed, index), float(pool_slots(clip.frames[0])))
+
+
+def pool_slots(frame: Frame) -> int:
+    """The number of stored samples per pixel of a frame."""
+    assert isinstance(frame.pool, StoredPool)
+    return frame.pool.radiance.shape[1]
 
 
 @contextmanager

@@ -12,6 +12,8 @@ __all__ = ["TrainingConfig"]
 WARM_UP_FRACTION = 0.15  # of the frames, in which the learning rate rises
 START_FACTOR, END_FACTOR = 1 / 25, 1e-4  # first and last learning rate, relative to the peak
 
+DEFAULTS: dict[str, object] = {"spp": [], "mix": 0.0, "keep": "last"}  # not stored
+
 RENAMED_KEYS = {  # in checkpoints and model cards written before the fields were renamed
     "length": "sequence_length",
     "average": "ema_decay",
@@ -36,6 +38,10 @@ class TrainingConfig:
     bf16: bool = False  # bfloat16 autocast of the forward pass
     eval_interval: int = 1_000  # frames between validations, and between checkpoints
     spp: tuple[float, ...] = ()  # training budgets; empty for those of the method's TrainingTask
+    mix: float = 0.0  # share of crops from clips that are mixed in; 0 without such clips
+    # weights that are saved: the last average, or that of the best validation by the mean over
+    # the validation sets ("best") or by one of them ("best:NAME")
+    keep: str = "last"
 
     @classmethod
     def from_dict(cls, stored: Mapping[str, Any]) -> TrainingConfig:
@@ -48,9 +54,15 @@ class TrainingConfig:
         return cls(**values | {"spp": tuple(values.get("spp", ()))})
 
     def to_dict(self) -> dict[str, Any]:
-        """The config as it is stored in JSON; without `spp` if the method's budgets are used."""
-        budgets = {"spp": list(self.spp)} if self.spp else {}
-        return {key: value for key, value in asdict(self).items() if key != "spp"} | budgets
+        """The config as it is stored in JSON; `spp`, `mix` and `keep` only if they are chosen."""
+        chosen = {"spp": list(self.spp), "mix": self.mix, "keep": self.keep}
+        optional = {key: value for key, value in chosen.items() if value != DEFAULTS[key]}
+        return {key: value for key, value in asdict(self).items() if key not in chosen} | optional
+
+    @property
+    def keeps_best(self) -> bool:
+        """Are the weights of the best validation saved, instead of the last ones?"""
+        return self.keep != "last"
 
     def lr_factor(self, frames_seen: int) -> float:
         """One-cycle learning rate after `frames_seen` frames, relative to the peak, in (0, 1].

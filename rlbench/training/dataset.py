@@ -1,8 +1,8 @@
-"""Training and validation clips: generated scenes, all scenes but one, or procedural clips."""
+"""Training and validation clips: of presets, of the user, all scenes but one, or procedural."""
 
 from __future__ import annotations
 
-from collections.abc import Collection
+from collections.abc import Collection, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
@@ -11,6 +11,12 @@ from rlbench.errors import OptionError
 from rlbench.registry.near_names import unknown_name
 from rlbench.render.jobs.preset_clips import render_preset_clips
 from rlbench.system import paths
+from rlbench.training.own_clips import find_own_clips
+from rlbench.training.validation_sets import (
+    select_validation,
+    split_off_validation,
+    without_validation,
+)
 
 if TYPE_CHECKING:
     from rlbench.parallel.executor import Executor
@@ -33,12 +39,28 @@ ONE_CLIP_REMARK = "validated on the clip that it was trained on"
 VALIDATION_SEEDS = (0, 14)  # of generated scenes, for runs that are not trained on generated ones
 
 
+OWN = "clips"  # name of the validation set that is split off the user's own clips
+MAX_LISTED = 5  # clips in a message
+
+
 class TrainingSplit(NamedTuple):
     """Clip folders to train and to validate on; a clip is in both only if there is one alone."""
 
-    train: list[Path]
-    validation: list[Path]
+    train: Sequence[Path]
+    validation: Mapping[str, Sequence[Path]]  # sets of clips by name, each with a mean of its own
     remark: str = ""  # what users of the weights should know, for their model card
+    mixed_in: Sequence[Path] = ()  # clips that are drawn with the share `TrainingConfig.mix`
+
+    @property
+    def summary(self) -> str:
+        """One line: how many clips train, and which ones validate."""
+        count = len(self.train) + len(self.mixed_in)
+        parts = []
+        for name, folders in self.validation.items():
+            more = ", ..." if len(folders) > MAX_LISTED else ""
+            clips = ", ".join(folder.name for folder in folders[:MAX_LISTED])
+            parts.append(f"{name}, {len(folders)} ({clips}{more})")
+        return f"{count} clips train; these validate and are not trained on: {'; '.join(parts)}"
 
 
 def select_split(
@@ -47,20 +69,74 @@ def select_split(
     held_out_scene: str | None,
     pool_kinds: Collection[str] | None = None,
     executor: Executor | None = None,
+    clips: Sequence[str] = (),
+    validate: Sequence[str] = (),
 ) -> TrainingSplit:
-    """The clips that the options --preset, --seeds and --holdout select.
+    """The clips that the options --preset, --seeds, --holdout, --clips and --validate select.
 
-    Clips get the sample pools named in `pool_kinds`; `executor` renders missing clips. Raises
-    OptionError if the options contradict each other, and as `generated` and `holdout` do.
+    `preset` may name several, separated by commas. `clips` are folders or shell-style patterns of
+    a user's clips, which train alone, or are mixed in where a preset or seeds are given too.
+    `validate` names validation sets as `select_validation` does; otherwise the first and the middle
+    clip of each preset validate, and every eighth of the user's. Clips get the sample pools named
+    in `pool_kinds`; `executor` renders missing clips.
+
+    Raises OptionError if the options contradict each other, and as `split_generated`,
+    `split_holdout`, `find_own_clips` and `select_validation` do.
     """
     if held_out_scene is None:
-        return split_generated(preset or "train", seeds, pool_kinds, executor)
+        return _select(preset, seeds, pool_kinds, executor, clips, validate)
     if seeds is not None:
         raise OptionError(
             "--seeds applies to generated scenes only. With --holdout, training uses the other "
             "test scenes of a preset: omit --seeds or --holdout"
         )
+    if clips or validate:
+        option = "--clips" if clips else "--validate"
+        raise OptionError(
+            f"--holdout trains on test scenes of a preset, and {option} names other clips. Omit "
+            "one of them"
+        )
     return split_holdout(held_out_scene, preset or "mini", pool_kinds, executor)
+
+
+def _select(
+    preset: str | None,
+    seeds: tuple[int, ...] | None,
+    pool_kinds: Collection[str] | None,
+    executor: Executor | None,
+    clips: Sequence[str],
+    validate: Sequence[str],
+) -> TrainingSplit:
+    """The split of presets, of the user's clips, or of both."""
+    names = [name.strip() for name in (preset or "train").split(",") if name.strip()]
+    if seeds is not None and len(names) > 1:
+        raise OptionError(f"--seeds applies to one preset, and --preset names {', '.join(names)}")
+    if clips and preset is None and seeds is None:
+        names = []
+    own = find_own_clips(clips) if clips else []
+    for name in names:
+        _check_not_test_set(name, seeds)
+    sets: dict[str, Sequence[Path]] = dict(select_validation(validate, pool_kinds, executor))
+    if validate:  # all other clips train
+        rendered = [path for name in names for path in _render(name, seeds, pool_kinds, executor)]
+        return _join(without_validation(rendered, sets), without_validation(own, sets), sets)
+    train: list[Path] = []
+    remark = ""
+    for name in names:
+        split = split_generated(name, seeds, pool_kinds, executor)
+        train, remark = [*train, *split.train], remark or split.remark
+        sets |= split.validation
+    if own:
+        remark = remark or ONE_CLIP_REMARK * (len(own) == 1)
+        own, sets[OWN] = split_off_validation(own)
+    return _join(train, own, sets, remark)
+
+
+def _join(
+    rendered: list[Path], own: list[Path], sets: Mapping[str, Sequence[Path]], remark: str = ""
+) -> TrainingSplit:
+    """A split whose own clips are mixed in, or train alone where none is rendered."""
+    return TrainingSplit(rendered or own, sets, remark, own if rendered else [])
 
 
 def split_quick(pool_kinds: Collection[str]) -> TrainingSplit:
@@ -84,7 +160,7 @@ def split_quick(pool_kinds: Collection[str]) -> TrainingSplit:
     for seed, folder in enumerate(folders):
         if not (folder / FILE).is_file():
             write_procedural_clip(folder, seed, QUICK_SIDE)
-    return TrainingSplit(folders[:-2], folders[-2:], QUICK_REMARK)
+    return TrainingSplit(folders[:-2], {"quick": folders[-2:]}, QUICK_REMARK)
 
 
 def count_unrendered(preset: str, seeds: tuple[int, ...] | None) -> tuple[int, int]:
@@ -114,13 +190,21 @@ def split_generated(
     OptionError if the preset or a seed belongs to a test set.
     """
     _check_not_test_set(preset, seeds)
-    folders = render_preset_clips(
-        None, preset, seeds=seeds, pool_kinds=pool_kinds, executor=executor
-    )
+    folders = _render(preset, seeds, pool_kinds, executor)
     if len(folders) == 1:
-        return TrainingSplit(folders, folders, ONE_CLIP_REMARK)
+        return TrainingSplit(folders, {preset: folders}, ONE_CLIP_REMARK)
     validate = folders[:: max(len(folders) // 2, 2)][:2]
-    return TrainingSplit([folder for folder in folders if folder not in validate], validate)
+    train = [folder for folder in folders if folder not in validate]
+    return TrainingSplit(train, {preset: validate})
+
+
+def _render(
+    preset: str,
+    seeds: tuple[int, ...] | None,
+    pool_kinds: Collection[str] | None,
+    executor: Executor | None,
+) -> list[Path]:
+    return render_preset_clips(None, preset, seeds=seeds, pool_kinds=pool_kinds, executor=executor)
 
 
 def _check_not_test_set(preset: str, seeds: tuple[int, ...] | None) -> None:
@@ -176,4 +260,4 @@ def split_holdout(
     validate = render_preset_clips(
         None, "train", seeds=VALIDATION_SEEDS, pool_kinds=pool_kinds, executor=executor
     )
-    return TrainingSplit(folders, validate)
+    return TrainingSplit(folders, {"train": validate})

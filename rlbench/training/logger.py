@@ -1,9 +1,17 @@
-"""The log of a training run: a JSON line per validation, and TensorBoard if it is installed."""
+"""The log of a training run: a JSON line per validation, a status, and TensorBoard if installed.
+
+Other programs read the state of a run from its folder. `status.json` is replaced every ten seconds
+and at the end, and holds one object: `method`, `frames` (to train on), `frames_seen`,
+`frames_per_second`, `seconds`, `loss`, `validation` (the last one: by set, `psnr` and
+`first_frames` in dB), `best` (frames seen and PSNR of the weights that are kept, or null) and
+`finished`. `log.jsonl` holds a line for each validation.
+"""
 
 from __future__ import annotations
 
 import importlib.util
 import json
+import math
 from pathlib import Path
 from typing import Any
 
@@ -11,10 +19,12 @@ from rlbench.system import paths
 from rlbench.training.progress import Progress
 from rlbench.training.validation import ValidationResult
 
-__all__ = ["TrainingLogger", "tensorboard_hint"]
+__all__ = ["LOG", "STATUS", "TrainingLogger", "tensorboard_hint"]
 
 LOG = "log.jsonl"  # one line per validation
+STATUS = "status.json"  # the present state
 FOLDER = "tensorboard"
+CURVES = ("validation PSNR", "validation PSNR of first frames")  # of each set, in TensorBoard
 PREVIEW_GAMMA = 1 / 2.2  # previews are for viewing only, not for measuring
 
 
@@ -26,7 +36,7 @@ class TrainingLogger:
 
     def __init__(self, folder: Path, frames_seen: int) -> None:
         """Drop log entries written after `frames_seen` frames, by a run that was then killed."""
-        self.log = folder / LOG
+        self.log, self.status = folder / LOG, folder / STATUS
         self.tensorboard = _open_tensorboard(folder / FOLDER, frames_seen)
         _truncate_log(self.log, frames_seen)
 
@@ -48,7 +58,9 @@ class TrainingLogger:
             "frames_seen": progress.frames_seen,
             "loss": loss,
             "seconds": progress.seconds,
+            "frames_per_second": progress.frames_per_second,
             "psnr": result.psnr,
+            "validation": {name: score._asdict() for name, score in result.sets.items()},
         }
         self.log.parent.mkdir(parents=True, exist_ok=True)
         with self.log.open("a") as file:
@@ -56,11 +68,35 @@ class TrainingLogger:
         if self.tensorboard is None:
             return
         self.tensorboard.add_scalar("validation PSNR", result.psnr, progress.frames_seen)
+        for name, score in result.sets.items():
+            for quantity, psnr in zip(CURVES, score, strict=True):
+                self.tensorboard.add_scalar(f"{quantity}/{name}", psnr, progress.frames_seen)
         if result.preview is not None:
             preview = result.preview.clamp(0, 1).pow(PREVIEW_GAMMA).nan_to_num().cpu()
             title = "validation, reference at the right"
             self.tensorboard.add_image(title, preview, progress.frames_seen)
         self.tensorboard.flush()
+
+    def write_status(self, progress: Progress, loss: float) -> None:
+        """Replace the status of the run; its length is that of the config."""
+        frames = int(progress.config["frames"])
+        last = {name: curve[-1] for name, curve in progress.curves.items() if curve}
+        status = {
+            "method": progress.config["method"],
+            "frames": frames,
+            "frames_seen": progress.frames_seen,
+            "frames_per_second": progress.frames_per_second,
+            "seconds": progress.seconds,
+            "loss": loss if math.isfinite(loss) else None,
+            "validation": {
+                name: {"psnr": psnr, "first_frames": first}
+                for name, (_, psnr, first) in last.items()
+            },
+            "best": progress.best,
+            "finished": progress.frames_seen >= frames,
+        }
+        with paths.atomic_write(self.status) as temporary:
+            temporary.write_text(json.dumps(status))
 
     def close(self) -> None:
         """Close TensorBoard's file."""

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+import logging
 import math
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import closing
 from dataclasses import asdict
 from pathlib import Path
@@ -12,19 +13,23 @@ from typing import Any, NamedTuple
 
 from rlbench import registry
 from rlbench.clips.in_memory import InMemoryClip
+from rlbench.clips.stored import open_clip
 from rlbench.system.memory import keep_freed_memory
-from rlbench.training import checkpoint, replay, validation
-from rlbench.training.batches import Batches, prefetch, sample_budget
+from rlbench.training import checkpoint, own_clips, replay, validation
+from rlbench.training.batches import Batches, prefetch, sequence_budget
 from rlbench.training.config import TrainingConfig
 from rlbench.training.logger import TrainingLogger
-from rlbench.training.progress import Progress, describe_changes
+from rlbench.training.progress import Progress, combine_digests, describe_changes
 from rlbench.training.task import TrainingError, TrainingTask
 from rlbench.training.train_state import NonFiniteStepError, TrainState
 from rlbench.training.trained_weights import frames_in_weights, save_weights, weights_path
 
 __all__ = ["TrainingResult", "check_budgets", "train"]
 
+_logger = logging.getLogger(__name__)
+
 CHECKPOINT = "checkpoint.safetensors"
+STATUS_SECONDS = 10.0  # between two writings of the status
 
 
 class TrainingResult(NamedTuple):
@@ -37,7 +42,7 @@ class TrainingResult(NamedTuple):
 def train(
     method: str,
     train_clips: Sequence[Path],
-    validation_clips: Sequence[Path],
+    validation_clips: Sequence[Path] | Mapping[str, Sequence[Path]],
     out: Path,
     config: TrainingConfig,
     device: str = "cpu",
@@ -46,37 +51,48 @@ def train(
     on_progress: Callable[[Progress, float], None] = lambda progress, loss: None,
     allow_config_change: bool = False,
     remark: str = "",
+    mixed_in: Sequence[Path] = (),
 ) -> TrainingResult:
     """Train a method on clip folders, and write its weights and model card to `out`.
 
-    While it runs, `out` gets checkpoint.safetensors, log.jsonl and, if TensorBoard is installed,
-    its event files; after `config.frames` frames, or after `minutes`, NAME.safetensors and its
-    card NAME.toml. `command` and `remark` are recorded in the card; `on_progress` is called with
-    progress and loss after each sequence.
+    `validation_clips` may be several sets by name, each with a curve of its own. The share
+    `config.mix` of the crops is from `mixed_in`. Budgets are limited to the stored samples of a
+    clip; a warning and the card say for which clips.
+
+    While it runs, `out` gets checkpoint.safetensors, log.jsonl, status.json and, if TensorBoard is
+    installed, its event files; after `config.frames` frames, or after `minutes`, NAME.safetensors
+    and its card NAME.toml. `command` and `remark` are recorded in the card; `on_progress` is called
+    with progress and loss after each sequence.
 
     A finished run is left unchanged. An interrupted run resumes from its last checkpoint; on a CPU
     the final weights are bit-identical to those of an uninterrupted run. A checkpoint with a
     different config or different clips is refused, unless `allow_config_change`; the card then
     records what changed, and when.
 
-    Raises PluginError if the method has nothing to train, BatchError if no crops can be cut from
-    the clips, and TrainingError if the method does not support a budget, if the checkpoint has a
-    different config, or if a loss or a gradient is not finite. In the last case the sequence is
-    stored in a file for `replay_sequence`.
+    Raises PluginError if the method has nothing to train, BatchError if the method cannot use a
+    clip or no crops can be cut from it, and TrainingError if the method does not support a budget,
+    if there is no validation set to keep the best weights by, if the checkpoint has a different
+    config, or if a loss or a gradient is not finite. In the last case the sequence is stored in a
+    file for `replay_sequence`.
     """
     check_budgets(method, config)
+    sets = _name_sets(validation_clips)
+    _check_kept_set(config, sets)
     keep_freed_memory()
     task: TrainingTask = registry.training_task(method, device, config.seed)
     state = TrainState(task, config, device)
-    batches = Batches.from_config(train_clips, config, task.method.traits, device)
+    batches = Batches.from_config(train_clips, config, task.method.traits, device, mixed_in)
+    limits = _check_clips(method, batches, sets, config.spp or task.spp)
+    described = {name: _describe(clips, batches.pool) for name, clips in sets.items()}
     requested = {"method": method, **config.to_dict(), "data": batches.clip_digests()}
+    if config.keeps_best:
+        requested["validation"] = described
     progress = _start_or_resume(state, out / CHECKPOINT, requested, allow_config_change)
     result = TrainingResult(weights_path(method, out), progress)
     if config.frames <= progress.frames_seen == frames_in_weights(result.weights):
         return result
-    spp = validation.validation_budgets(task.method, task.spp, config.spp)
     began = time.monotonic() - progress.seconds
-    stop = time.monotonic() + 60 * minutes
+    stop, next_status, loss = time.monotonic() + 60 * minutes, 0.0, math.nan
     with prefetch(batches) as sequence, closing(TrainingLogger(out, progress.frames_seen)) as log:
         while progress.frames_seen < config.frames and time.monotonic() < stop:
             intervals, started = progress.frames_seen // config.eval_interval, time.monotonic()
@@ -88,14 +104,17 @@ def train(
             log.log_sequence(progress, loss, learning_rate)
             finished = progress.frames_seen >= config.frames
             if finished or progress.frames_seen // config.eval_interval > intervals:
-                networks = (task.method, state.networks, state.ema_networks)
-                score = validation.validate(*networks, validation_clips, spp, device)
-                progress.validation_history.append((progress.frames_seen, score.psnr))
-                log.log_validation(progress, loss, score)
+                log.log_validation(progress, loss, _validate(state, progress, sets))
                 checkpoint.write(out / CHECKPOINT, state.state_dict(), asdict(progress))
+                next_status = 0.0
+            if time.monotonic() >= next_status:
+                log.write_status(progress, loss)
+                next_status = time.monotonic() + STATUS_SECONDS
             on_progress(progress, loss)
+        log.write_status(progress, loss)
     checkpoint.write(out / CHECKPOINT, state.state_dict(), asdict(progress))
-    save_weights(method, result.weights, state, progress, command, remark)
+    note = "; ".join(filter(None, (remark, limits)))
+    save_weights(method, result.weights, state, progress, command, note, described)
     return result
 
 
@@ -105,6 +124,71 @@ def check_budgets(method: str, config: TrainingConfig) -> None:
     for spp in config.spp:
         if reason := traits.unsupported_reason(spp):
             raise TrainingError(f"'{method}' cannot be trained at {spp:g} spp: {reason}")
+
+
+def _name_sets(
+    clips: Sequence[Path] | Mapping[str, Sequence[Path]],
+) -> Mapping[str, Sequence[Path]]:
+    """Validation sets by name; clips without a name are the set `validation`."""
+    return clips if isinstance(clips, Mapping) else {"validation": clips}
+
+
+def _check_kept_set(config: TrainingConfig, sets: Mapping[str, Sequence[Path]]) -> None:
+    """Raise TrainingError if the weights that are best on a set are kept, and it has no clips."""
+    word, _, name = config.keep.partition(":")
+    known = [name for name, clips in sets.items() if clips]
+    if config.keep != "last" and (word != "best" or not known or name not in ("", *known)):
+        raise TrainingError(
+            f"cannot keep '{config.keep}': validation sets are {', '.join(known) or 'missing'}. "
+            f"Choose {', '.join(['last', 'best', *(f'best:{each}' for each in known)])}"
+        )
+
+
+def _describe(clips: Sequence[Path], pool: str) -> str:
+    """The number of clips and one digest of them all."""
+    opened = [open_clip(folder, frozenset(), pool=pool) for folder in clips]
+    digests = [f"{clip.name} {clip.digest[:12]}" for clip in opened]
+    return f"{len(clips)} clips {combine_digests(digests)}"
+
+
+def _check_clips(
+    method: str,
+    batches: Batches,
+    sets: Mapping[str, Sequence[Path]],
+    budgets: Sequence[float],
+) -> str:
+    """Which training clips limit the budgets, after a warning; empty if none does.
+
+    Raises BatchError for a clip that the method cannot train or validate on.
+    """
+    traits = registry.get_variant(method).traits
+    clips = [*batches.clips, *batches.mixed_in]
+    own_clips.check_clips(method, traits, clips, batches.crop, budgets)
+    for folders in sets.values():
+        own_clips.check_clips(method, traits, folders, 0, budgets)
+    if limits := own_clips.describe_small_pools(batches.opened, budgets):
+        _logger.warning("%s: %s", method, limits)
+    return limits
+
+
+def _validate(
+    state: TrainState, progress: Progress, sets: Mapping[str, Sequence[Path]]
+) -> validation.ValidationResult:
+    """Validate, append to the curves, and keep the averaged weights if they are the best so far."""
+    task, config, frames = state.task, state.config, progress.frames_seen
+    spp = validation.validation_budgets(task.method, task.spp, config.spp)
+    networks = (task.method, state.networks, state.ema_networks)
+    result = validation.validate(*networks, sets, spp, str(state.device))
+    progress.validation_history.append((frames, result.psnr))
+    for name, score in result.sets.items():
+        progress.curves.setdefault(name, []).append((frames, *score))
+    kept_set = config.keep.partition(":")[2]
+    psnr = result.sets[kept_set].psnr if kept_set else result.psnr
+    is_better = math.isfinite(psnr) and (progress.best is None or psnr > progress.best[1])
+    if config.keeps_best and is_better:
+        progress.best = (frames, psnr)
+        state.keep_average()
+    return result
 
 
 def _start_or_resume(
@@ -137,7 +221,7 @@ def _train_sequence(
 ) -> float:
     """Train on the next sequence and advance the progress; returns the mean loss."""
     config, index = state.config, progress.sequences
-    spp = sample_budget(config.spp or state.task.spp, config.seed, index)
+    spp = sequence_budget(clip, config.spp or state.task.spp, config.seed, index)
     lr_factor = config.lr_factor(progress.frames_seen)
     fraction = progress.frames_seen / config.frames
     try:

@@ -13,7 +13,7 @@ import numpy as np
 
 from rlbench import registry
 from rlbench.system import paths
-from rlbench.training.batches import Batches, sample_budget
+from rlbench.training.batches import Batches, sequence_budget
 from rlbench.training.config import TrainingConfig
 from rlbench.training.progress import Progress
 from rlbench.training.task import TrainingTask
@@ -53,6 +53,7 @@ def find_learning_rate(
     config: TrainingConfig,
     device: str = "cpu",
     on_progress: Callable[[Progress, float], None] = lambda progress, loss: None,
+    mixed_in: Sequence[Path] = (),
 ) -> LrRangeResult:
     """Train a method from its initial weights over `config.frames`, at rates from 1e-6 to 1e-1.
 
@@ -72,14 +73,14 @@ def find_learning_rate(
     """
     task: TrainingTask = registry.training_task(method, device, config.seed)
     state = TrainState(task, config, device)
-    batches = Batches.from_config(train_clips, config, task.method.traits, device)
+    batches = Batches.from_config(train_clips, config, task.method.traits, device, mixed_in)
     points: list[LrPoint] = []
     progress = Progress()
     while progress.frames_seen < config.frames and not _has_diverged(points):
         fraction = progress.frames_seen / config.frames
         learning_rate = MIN_LR * (MAX_LR / MIN_LR) ** fraction
         clip = batches.sequence(progress.sequences)
-        spp = sample_budget(config.spp or task.spp, config.seed, progress.sequences)
+        spp = sequence_budget(clip, config.spp or task.spp, config.seed, progress.sequences)
         try:
             loss = state.train_sequence(clip, spp, learning_rate / task.max_lr, fraction)
         except NonFiniteStepError:

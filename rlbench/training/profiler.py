@@ -15,7 +15,7 @@ import torch
 from rlbench import registry
 from rlbench.registry import discovery
 from rlbench.training import dataset
-from rlbench.training.batches import Batches, sample_budget
+from rlbench.training.batches import Batches, sequence_budget
 from rlbench.training.config import TrainingConfig
 from rlbench.training.task import TrainingTask
 from rlbench.training.train_state import TrainState
@@ -83,9 +83,9 @@ def profile(
         batches.sequence(index)
     frames, profiler = 0, cProfile.Profile(clock)
     for index in indices:
-        spp = sample_budget(config.spp or task.spp, config.seed, index)
         profiler.enable()
         clip = batches.sequence(index)
+        spp = sequence_budget(clip, config.spp or task.spp, config.seed, index)
         state.train_sequence(clip, spp, WARM_UP_LR_FACTOR, index / len(indices))
         profiler.disable()
         frames += len(clip) * clip.size.n

@@ -2,16 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from hashlib import sha256
 from typing import Any
 
 from rlbench.system import documents
 from rlbench.training.checkpoint import CheckpointError
 from rlbench.training.config import rename_keys
 
-__all__ = ["Progress"]
+__all__ = ["Progress", "combine_digests", "describe_changes"]
 
+MAX_LISTED = 8  # clips in a message
 PLATEAU_DB = 0.1  # a smaller rise between the last two validations counts as converged
 
 RENAMED_KEYS = {  # in checkpoints written before the fields were renamed
@@ -33,8 +35,11 @@ class Progress:
     steps: int = 0  # of the optimiser
     seconds: float = 0.0
     frames_per_second: float = 0.0  # in the last sequence, without validation
-    # pairs of frames seen and validation PSNR in dB
+    # pairs of frames seen and validation PSNR in dB, the mean over the validation sets
     validation_history: list[tuple[int, float]] = field(default_factory=list)
+    # by validation set: frames seen, mean PSNR of all frames, and of the first frame of each clip
+    curves: dict[str, list[tuple[int, float, float]]] = field(default_factory=dict)
+    best: tuple[int, float] | None = None  # frames seen and PSNR of the best validation, if kept
     config: dict[str, Any] = field(default_factory=dict)  # with the method and the training clips
     config_changes: list[str] = field(default_factory=list)
 
@@ -80,10 +85,25 @@ class Progress:
 
 
 def describe_changes(old: Mapping[str, Any], new: Mapping[str, Any]) -> list[str]:
-    """The keys whose values differ, with both values.
+    """The keys whose values differ, with both values; of many clips the number and one digest.
 
     >>> describe_changes({"crop": 64, "seed": 0}, {"crop": 128, "seed": 0})
     ['crop 64 -> 128']
     """
     keys = sorted(key for key in {**old, **new} if old.get(key) != new.get(key))
-    return [f"{key} {old.get(key)} -> {new.get(key)}" for key in keys]
+    return [f"{key} {_shorten(old.get(key))} -> {_shorten(new.get(key))}" for key in keys]
+
+
+def combine_digests(clips: Sequence[str]) -> str:
+    """One digest of clips, 12 hex digits, from the name and digest of each.
+
+    >>> combine_digests(["city 0123", "hall 4567"])
+    'c1bd31797d1e'
+    """
+    return sha256("\n".join(clips).encode()).hexdigest()[:12]
+
+
+def _shorten(value: Any) -> Any:
+    if isinstance(value, list) and len(value) > MAX_LISTED:
+        return f"{len(value)} clips {combine_digests(value)}"
+    return value

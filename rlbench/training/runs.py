@@ -8,8 +8,9 @@ from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass
 from pathlib import Path
 
+from rlbench import registry
 from rlbench.system.folder_lock import locked_folder
-from rlbench.training import lr_range_test
+from rlbench.training import lr_range_test, own_clips
 from rlbench.training.config import TrainingConfig
 from rlbench.training.dataset import TrainingSplit
 from rlbench.training.loop import check_budgets, train
@@ -58,6 +59,15 @@ class TrainingRuns:
         for method in methods:
             check_budgets(method, self.config)
 
+    def check_clips(self, methods: Sequence[str], split: TrainingSplit) -> None:
+        """Raise BatchError if one of the methods cannot use a clip of the split."""
+        for method in methods:
+            traits, spp = registry.get_variant(method).traits, self.config.spp
+            train_clips = [*split.train, *split.mixed_in]
+            own_clips.check_clips(method, traits, train_clips, self.config.crop, spp)
+            for clips in split.validation.values():
+                own_clips.check_clips(method, traits, clips, 0, spp)
+
     def train(self, method: str, split: TrainingSplit, held_out_scene: str | None = None) -> Path:
         """Train a method, resume its run, or reuse it if it is finished; returns the weights.
 
@@ -80,6 +90,7 @@ class TrainingRuns:
                 on_progress,
                 self.allow_config_change,
                 split.remark,
+                split.mixed_in,
             )
         return result.weights
 
@@ -88,7 +99,13 @@ class TrainingRuns:
         folder = self.out / f"{self.folder(method).name}-range"
         with self.progress_bar(f"{method}, lr range test", self.config.frames) as on_progress:
             return lr_range_test.find_learning_rate(
-                method, split.train, folder, self.config, self.device, on_progress
+                method,
+                split.train,
+                folder,
+                self.config,
+                self.device,
+                on_progress,
+                split.mixed_in,
             )
 
 

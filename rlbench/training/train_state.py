@@ -64,6 +64,7 @@ class TrainState:
         self.ema.update_parameters(self.networks)  # the initial weights count as the first average
         self.optimizer = torch.optim.Adam(_parameter_groups(task), task.max_lr)
         self.snapshot: dict[str, Tensor] = {}
+        self.best: dict[str, Tensor] = {}  # averaged weights that `keep_average` stored
         self._modules = {"the networks": self.networks}  # gradients are clipped for each
         if task.auxiliary_network is not None:
             self._modules["the auxiliary network"] = task.auxiliary_network
@@ -106,13 +107,20 @@ class TrainState:
     def state_dict(self) -> dict[str, Tensor]:
         """All tensors of the run by name, for a checkpoint; they are not copied."""
         ema = {f"ema.{name}": tensor for name, tensor in self.ema_networks.state_dict().items()}
-        return self._trained_tensors() | ema
+        best = {f"best.{name}": tensor for name, tensor in self.best.items()}
+        return self._trained_tensors() | ema | best
+
+    def keep_average(self) -> None:
+        """Store a copy of the averaged weights as the best ones."""
+        averages = self.ema_networks.state_dict()
+        self.best = {name: tensor.detach().clone() for name, tensor in averages.items()}
 
     def load_state_dict(self, tensors: Mapping[str, Tensor], steps: int) -> None:
         """Restore the tensors of `state_dict`, saved after `steps` optimiser steps."""
         self.load_snapshot(tensors)
         self.ema_networks.load_state_dict(select_prefix("ema.", tensors))
         self.ema.n_averaged.fill_(steps + 1)
+        self.best = select_prefix("best.", tensors)
 
     def load_snapshot(self, tensors: Mapping[str, Tensor]) -> None:
         """Restore the weights and the optimiser's moments of a `snapshot`."""

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import copy
 import json
+from collections.abc import Mapping
 from pathlib import Path
 
 import torch
@@ -10,10 +12,12 @@ import torch
 from rlbench import weights
 from rlbench.method import config_json
 from rlbench.system import provenance
-from rlbench.training.progress import Progress
+from rlbench.training.progress import Progress, combine_digests
 from rlbench.training.train_state import TrainState
 
 __all__ = ["frames_in_weights", "save_weights", "weights_path"]
+
+MAX_DIGESTS = 32  # clips whose digests a card lists; more have one together
 
 
 def weights_path(method: str, out: Path) -> Path:
@@ -45,13 +49,27 @@ def save_weights(
     progress: Progress,
     command: str,
     remark: str = "",
+    validation: Mapping[str, str] | None = None,
 ) -> None:
-    """Write the averaged weights and their model card, whose note begins with the remark."""
+    """Write the kept averaged weights and their model card, whose note begins with the remark.
+
+    `validation` describes the clips of each validation set, for the card.
+    """
     task, config = state.task, state.config
-    extra = {"spp": config.spp or task.spp, "max_lr": task.max_lr}
+    extra = {"spp": config.spp or task.spp, "max_lr": task.max_lr, "validation": validation or {}}
+    networks, kept_at, kept = state.ema_networks, progress.frames_seen, ""
+    if state.best and progress.best:
+        networks = copy.deepcopy(networks)
+        networks.load_state_dict(state.best)
+        kept_at, psnr = progress.best
+        kept = (
+            f"kept: {config.keep}, {psnr:.2f} dB after {kept_at} of {progress.frames_seen} frames"
+        )
+    data = progress.config["data"]
     card = weights.ModelCard(
         name=method,
-        data=tuple(progress.config["data"]),
+        data=tuple(data if len(data) <= MAX_DIGESTS else (c.rpartition(" ")[0] for c in data)),
+        data_digest=combine_digests(data) if len(data) > MAX_DIGESTS else "",
         frames_seen=progress.frames_seen,
         steps=progress.steps,
         seconds=round(progress.seconds),
@@ -63,9 +81,11 @@ def save_weights(
         method_config=config_json(task.method),
         origin=task.origin,
         validation_history=tuple(progress.validation_history),
-        note="; ".join(filter(None, (remark, progress.note(config.frames)))),
+        curves={name: tuple(curve) for name, curve in progress.curves.items()},
+        kept_at=kept_at,
+        note="; ".join(filter(None, (remark, kept, progress.note(config.frames)))),
     )
-    weights.save(state.ema_networks, file, card)
+    weights.save(networks, file, card)
 
 
 def _describe_device(device: torch.device) -> str:

@@ -29,8 +29,8 @@ def folds(tmp_path: Path) -> list[Fold]:
     registry.use_plugin(write_learner(tmp_path))
     city, hall = (write_noise(tmp_path / name, name, h=24, w=24) for name in ("city", "hall"))
     return [
-        Fold("city", TrainingSplit([hall], [hall]), (StoredSource(city),)),
-        Fold("hall", TrainingSplit([city], [city]), (StoredSource(hall),)),
+        Fold("city", TrainingSplit([hall], {"hall": [hall]}), (StoredSource(city),)),
+        Fold("hall", TrainingSplit([city], {"city": [city]}), (StoredSource(hall),)),
     ]
 
 

@@ -29,19 +29,22 @@ def rendered(monkeypatch: pytest.MonkeyPatch) -> list[tuple]:
 def test_the_first_and_the_middle_clip_validate(rendered):
     split = dataset.split_generated("train")
     assert split.train == [Path("train", name) for name in "13"]
-    assert split.validation == [Path("train", name) for name in "02"]
+    assert split.validation == {"train": [Path("train", name) for name in "02"]}
     assert rendered == [("train", None, None)]
 
 
 def test_of_two_clips_one_validates(rendered):
     split = dataset.split_generated("train", (30, 31))
-    assert split == ([Path("train", "31")], [Path("train", "30")], "")
+    assert (split.train, split.validation) == (
+        [Path("train", "31")],
+        {"train": [Path("train", "30")]},
+    )
     assert rendered == [("train", None, (30, 31))]
 
 
 def test_one_clip_trains_and_validates_and_the_split_says_so(rendered):
     split = dataset.select_split(None, (7,), None)
-    assert split.train == split.validation == [Path("train", "7")]
+    assert split.train == split.validation["train"] == [Path("train", "7")]
     assert split.remark == "validated on the clip that it was trained on"
 
 
@@ -54,7 +57,7 @@ def small_quick_clips(monkeypatch):
 def test_a_quick_split_renders_nothing_and_validates_on_other_clips(rendered, small_quick_clips):
     split = dataset.split_quick({"path"})
     assert [open_clip(folder).name for folder in split.train] == ["procedural-0"]
-    assert [folder.name for folder in split.validation] == ["procedural-1", "procedural-2"]
+    assert [folder.name for folder in split.validation["quick"]] == ["procedural-1", "procedural-2"]
     assert split.remark.startswith("quick: ")
     assert rendered == []
 
@@ -87,7 +90,7 @@ def test_seeds_can_be_rendered_at_the_size_of_a_test_set(rendered):
 def test_a_held_out_scene_is_neither_trained_nor_validated_on(rendered):
     split = dataset.select_split("standard", None, "hall")
     assert split.train == [Path("standard", name) for name in ("city", "temple", "ripples")]
-    assert split.validation == [Path("train", "0"), Path("train", "14")]
+    assert split.validation == {"train": [Path("train", "0"), Path("train", "14")]}
 
 
 @pytest.mark.parametrize(

@@ -62,7 +62,7 @@ class RecordingBar:
 def split(tmp_path: Path) -> TrainingSplit:
     registry.use_plugin(write_learner(tmp_path))
     clip = write_noise(tmp_path / "clips" / "noise", h=24, w=24)
-    return TrainingSplit([clip], [clip])
+    return TrainingSplit([clip], {"noise": [clip]})
 
 
 def test_training_shows_its_progress_in_the_given_bar(tmp_path, split):

@@ -109,9 +109,10 @@ def retrain(
     networks = method.networks
     spp = validation.validation_budgets(method, BUDGETS_FROM_0_05_SPP, ())
     assert networks.sampler is not None
-    psnr = {"untrained": validation.validate(method, networks, networks, validate, spp, "cpu").psnr}
+    scored = (method, networks, networks, {"validation": validate}, spp, "cpu")
+    psnr = {"untrained": validation.validate(*scored).psnr}
     networks.sampler.load_state_dict(sampler.state_dict())
-    psnr[name] = validation.validate(method, networks, networks, validate, spp, "cpu").psnr
+    psnr[name] = validation.validate(*scored).psnr
     save(networks, out / f"{name}.safetensors", _card(name, task, frames, psnr, command))
     return psnr
 
