@@ -110,6 +110,8 @@ def _linear_rgb(attributes: str, values: Sequence[float]) -> str:
 
 def _divide_by_exterior(props: Any, notes: dict[str, None]) -> None:
     """Eta and k of a metal relative to the medium outside, as Mitsuba 3 lacks `ext_eta`."""
+    import mitsuba as mi
+
     key = _find_key(props, "ext_eta")
     if key is None:
         return
@@ -117,10 +119,12 @@ def _divide_by_exterior(props: Any, notes: dict[str, None]) -> None:
     del props[key]
     if outside == 1.0:
         return
-    divisible = [k for k in ("eta", "k") if isinstance(props.get(k, None), float)]
-    for name in divisible if isinstance(outside, float) else ():
-        props[name] = props[name] / outside
-    if not (divisible and isinstance(outside, float)):
+    numbers = (float, mi.ScalarColor3d)
+    names = [name for name in ("eta", "k") if isinstance(props.get(name, None), numbers)]
+    if len(names) == 2 and isinstance(outside, float):
+        for name in names:
+            props[name] = props[name] / outside
+    else:
         notes["ext_eta of a conductor is ignored: air is outside"] = None
 
 
@@ -129,13 +133,15 @@ def _replace_glossy(props: Any, plugin: str) -> str:
 
     Its roughness is the one of Walter et al. 2007, section 5.2, for a Phong exponent.
     """
+    import mitsuba as mi
+
     if plugin == "phong":
         across = along = math.sqrt(2 / (_take(props, "exponent", 30.0) + 2))
     else:
         across, along = _take(props, "alpha_u", 0.1), _take(props, "alpha_v", 0.1)
         _take(props, "variant", "")
     diffuse = props.get(_find_key(props, "diffuse_reflectance") or "", None)
-    is_metal = diffuse is not None and np.ndim(diffuse) == 1 and np.max(diffuse) <= METAL_BELOW
+    is_metal = isinstance(diffuse, mi.ScalarColor3d) and max(diffuse) <= METAL_BELOW
     if is_metal:
         _take(props, "diffuse_reflectance", None)
         props["alpha_u"], props["alpha_v"], props["material"] = across, along, "none"
