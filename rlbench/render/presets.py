@@ -294,8 +294,8 @@ def is_clip_for(use: PresetUse, preset: str, scene: str, name: str) -> bool:
     True
     """
     known = PRESETS.get(_base(preset))
-    shown = {scene, name, name.rpartition("-")[0]}  # the last one of a take
-    is_foreign = known is not None and not shown & set(known.scene_names)
+    labels = {scene, name, name.rpartition("-")[0]}  # the last one of a take
+    is_foreign = known is not None and not labels & set(known.scene_names)
     return not preset or is_foreign or use in _uses(preset)
 
 
