@@ -38,12 +38,6 @@ LINE_STYLES = {  # colour and dashes; the proposed default has the most salient 
     "stochastic, single pixels": ("#56B4E9", (0, (1, 1))),
     "rllib-appo, joint ratio": ("#7A4FA3", (0, (4, 2))),
 }
-OLD_LEARNER_NAMES = {  # in tables of earlier versions
-    "ppo-pixel": "reinforce",
-    "ppo-pixel+surrogate": "reinforce+surrogate",
-    "ppo-pixel, no price": "reinforce, no price",
-    "ppo-pixel, single pixels": "reinforce, single pixels",
-}
 TITLES = {  # of the modes of the problem
     "direct": "independent pixels",
     "filter": "pixels coupled by a 5x5 filter",
@@ -52,8 +46,8 @@ TRAINING = ["learner", "mode", "seed"]  # columns that identify a training
 
 
 def read_rows(file: Path) -> pd.DataFrame:
-    """The CSV that `compare_learners` wrote, with the current names of learners."""
-    return pd.read_csv(file).replace({"learner": OLD_LEARNER_NAMES})
+    """The CSV that `compare_learners` wrote."""
+    return pd.read_csv(file)
 
 
 def average_seeds(rows: pd.DataFrame) -> pd.DataFrame:

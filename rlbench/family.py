@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 __all__ = ["Family", "Traits", "Variant"]
 
@@ -109,7 +109,6 @@ class Family:
     variants: Mapping[str, Variant]
     build: str
     train: str = ""
-    aliases: Mapping[str, str] = field(default_factory=dict)  # former variant name -> current one
 
     def method_names(self) -> list[str]:
         """Names of all variants as on the command line: `family` or `family/variant`."""

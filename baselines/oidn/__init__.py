@@ -46,5 +46,4 @@ FAMILY = Family(
     },
     build="baselines.oidn.method:build",
     train="baselines.oidn.train:training_task",
-    aliases={"small": "retrained-small"},
 )

@@ -84,7 +84,6 @@ def export(weights: Path) -> bytes:
     Raises WeightsError if the file is missing, changed, or belongs to another network.
     """
     variant = read_card(weights).name.partition("/")[2]
-    variant = FAMILY.aliases.get(variant, variant)
     config = VARIANTS.get(variant, VARIANTS[""])  # `load_into` rejects weights of other methods
     network = UNet(INPUT_CHANNELS, widths=config.widths)
     load_into(network, weights)

@@ -18,12 +18,6 @@ SINGLE_FRAME = replace(TRAITS, inputs=TRAITS.inputs - {"motion"}, temporal=False
 # the surrogate gradient divides by the count
 AT_LEAST_ONE = replace(TRAITS, min_samples=1, spp_range=(1.0, 8.0))
 
-FORMERLY_OF_LATENT = (  # their names when `ours/latent` was `ours`
-    "reinforce", "stochastic", "B1", "B2", "C", "C+count", "small", "initial", "stateless",
-    "sampler-small", "sampler-large", "encoder-small", "encoder-large", "denoiser-small",
-    "denoiser-large",
-)  # fmt: skip
-
 FAMILY = Family(
     name="ours",
     title="RL-based stateful neural adaptive sampling and denoising",
@@ -142,8 +136,6 @@ FAMILY = Family(
             TRAITS,
         ),
     },
-    aliases={"lean": "", "ppo": "latent-reinforce"}
-    | {name: f"latent-{name}" for name in FORMERLY_OF_LATENT},
     build="methods.ours.method:build",
     train="methods.ours.train:training_task",
 )

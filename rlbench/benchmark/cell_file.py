@@ -1,7 +1,6 @@
 """The file of one cell: its rows in parquet, its identity, and a checksum of both.
 
 The checksum finds what parquet does not: a flipped bit in a number, in a name or in the identity.
-Files of schema 1, and the first ones of schema 2, have none; their columns and types are checked.
 """
 
 from __future__ import annotations
@@ -14,9 +13,8 @@ from hashlib import sha256
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from rlbench.benchmark import results_v1
 from rlbench.benchmark.cell_key import CellId, CellKey
-from rlbench.benchmark.row import COLUMNS, DEFAULTS, REQUIRED, Row, TableError, arrow_schema
+from rlbench.benchmark.row import COLUMNS, Row, TableError, arrow_schema
 from rlbench.system import documents, paths
 
 if TYPE_CHECKING:
@@ -40,8 +38,8 @@ class _Metadata:
     schema: int
     key: CellKey
     content_hash: str
-    times_hash: str = ""  # empty in older files
-    checksum: str = ""  # of rows and identity; empty in older files
+    times_hash: str
+    checksum: str  # of rows and identity
 
 
 def write(file: Path, cell: CellId, rows: Sequence[Row]) -> None:
@@ -68,19 +66,17 @@ def read_id(file: Path) -> CellId | None:
 
 
 def read_cell(file: Path) -> tuple[CellId, pd.DataFrame] | None:
-    """The cell in a file and its rows under today's names, both checked; else as `read_id`.
-
-    Columns are those of `COLUMNS`; those that an older file lacks have their default.
-    """
+    """The cell in a file and its rows, both checked; else as `read_id`. Columns as in `COLUMNS`."""
     with _naming_damage(file) as content:
         parquet = _open(content)
         cell, checksum = _read_identity(file, parquet.schema_arrow)
         if cell is None:
             return None
         table = parquet.read()
-        if checksum and checksum != _checksum(cell, table):
+        if checksum != _checksum(cell, table):
             raise ValueError("its rows do not have the checksum that was written with them")
-        return cell, _to_dataframe(table)
+        rows: pd.DataFrame = table.select(COLUMNS).cast(arrow_schema()).to_pandas()
+        return cell, rows
 
 
 @contextmanager
@@ -112,42 +108,19 @@ def _open(content: bytes) -> Any:
 def _read_identity(file: Path, schema: pa.Schema) -> tuple[CellId | None, str]:
     """The cell in a file and its checksum. Raises ValueError for a damaged identity."""
     content = (schema.metadata or {}).get(METADATA)
-    if content is None and results_v1.is_schema_1(set(schema.names)):
-        return results_v1.read_cell_id(file, schema), ""
-    if content is None and set(schema.names) >= REQUIRED:
+    if content is None and set(schema.names) >= set(COLUMNS):
         raise ValueError("it has rows of results, but not the identity of their cell")
     if content is None:
         return None, ""
     document: dict[str, Any] = json.loads(content)
     if document["schema"] != SCHEMA:
         raise TableError(
-            f"{file} has schema {document['schema']}, this version reads 1 and {SCHEMA}. Update "
+            f"{file} has schema {document['schema']}, this version reads {SCHEMA}. Update "
             "rlbench, or use another folder"
         )
     metadata = documents.decode(document, _Metadata)
     cell = CellId(metadata.key, metadata.content_hash, metadata.times_hash)
     return cell, metadata.checksum
-
-
-def _to_dataframe(table: pa.Table) -> pd.DataFrame:
-    """Rows of either schema under today's names. Raises an error for wrong columns or types."""
-    import pyarrow as pa
-
-    frame: pd.DataFrame = table.to_pandas()
-    if METADATA not in (table.schema.metadata or {}):
-        frame = results_v1.to_current(frame)
-    if missing := sorted(REQUIRED - set(frame)):
-        raise ValueError(f"it lacks the columns {', '.join(missing)}")
-    if frame.empty:
-        raise ValueError("it has no rows")
-    absent = {name: value for name, value in DEFAULTS.items() if name not in frame}
-    frame = frame.assign(**absent)[list(COLUMNS)]
-    typed = pa.Table.from_pandas(frame, schema=arrow_schema(), preserve_index=False)
-    gaps = [c for c in COLUMNS if typed[c].null_count and not pa.types.is_floating(typed[c].type)]
-    if gaps:
-        raise ValueError(f"the columns {', '.join(gaps)} have gaps")
-    checked: pd.DataFrame = typed.to_pandas()
-    return checked
 
 
 def _checksum(cell: CellId, table: pa.Table) -> str:

@@ -1,7 +1,6 @@
 """The results table: one number a row, one parquet file a cell, so a killed run loses one cell.
 
-Reports read this module alone. `cell_file` reads, writes and checks the file of one cell; files of
-schema 1 are read under today's names (`results_v1`).
+Reports read this module alone. `cell_file` reads, writes and checks the file of one cell.
 """
 
 from __future__ import annotations

@@ -17,7 +17,6 @@ __all__ = [
     "DEFAULTS",
     "EVENT_PREFIX",
     "NOISE_CEILING",
-    "REQUIRED",
     "TWO_DEVICES",
     "UNRELIABLE",
     "Row",
@@ -61,12 +60,11 @@ class Row:
     code_hash: str = ""  # of the method's code
     weights_hash: str = ""  # of the method's weights, empty where it has none
     config: str = "{}"  # the method's config as JSON
-    size: str = ""  # of the images, WIDTHxHEIGHT pixels; empty in older results
+    size: str = ""  # of the images, WIDTHxHEIGHT pixels
 
 
 COLUMNS = tuple(field.name for field in fields(Row))
 DEFAULTS = {field.name: field.default for field in fields(Row) if field.default is not MISSING}
-REQUIRED = frozenset(COLUMNS) - DEFAULTS.keys()
 _KINDS = {field.name: str(field.type) for field in fields(Row)}
 
 

@@ -10,8 +10,7 @@ BF16 = "bf16"  # label of rows whose networks ran in bfloat16
 COMPILERS = ("openvino", "compile")  # backends, labels of rows whose networks they ran
 TILES = "tiles"  # label of rows whose unchanged tiles were kept from the last image
 CROSSVAL = "crossval"  # label of rows whose weights were trained without the row's scene
-OLD_BF16 = "half"  # label of bfloat16 rows in results of schema 1
-RESERVED_LABELS = (BF16, TILES, CROSSVAL, OLD_BF16, *COMPILERS)  # labels that no weights may have
+RESERVED_LABELS = (BF16, TILES, CROSSVAL, *COMPILERS)  # labels that no weights may have
 
 
 @dataclass(frozen=True)

@@ -12,7 +12,6 @@ from typer.core import TyperCommand, TyperGroup
 
 from rlbench.cli import interruption
 from rlbench.cli.completion import complete_methods
-from rlbench.cli.old_spellings import translate
 from rlbench.errors import RlbenchError
 from rlbench.registry.near_names import suggest
 from rlbench.registry.plugin_code import exits_as_errors
@@ -121,13 +120,6 @@ class CommandGroup(TyperGroup):
         first = [word for word in words if word in PROGRAM_OPTIONS]
         others = [word for word in words if word not in PROGRAM_OPTIONS]
         return super().parse_args(ctx, [*first, *others, *rest])
-
-    def resolve_command(self, ctx: Any, args: list[str]) -> Any:
-        """The command and its arguments; old spellings are translated, with a note."""
-        translated, notes = translate(args)
-        for note in notes:
-            typer.echo(note, err=True)
-        return super().resolve_command(ctx, translated)
 
     def invoke(self, ctx: Any) -> Any:
         """Run the command. Errors that users cannot cause are defects and keep their traceback."""

@@ -11,7 +11,6 @@ from rlbench.registry.discovery import (
 )
 from rlbench.registry.entry import PluginEntry
 from rlbench.registry.lookup import (
-    current_name,
     failure_reason,
     get_variant,
     import_error,
@@ -43,7 +42,6 @@ __all__ = [
     "PluginError",
     "PluginExitError",
     "clear_plugins",
-    "current_name",
     "demo_methods",
     "list_entries",
     "exits_as_errors",

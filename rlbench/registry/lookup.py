@@ -16,7 +16,6 @@ from rlbench.registry.plugin_code import exits_as_errors
 from rlbench.registry.stand_ins import find_stand_in
 
 __all__ = [
-    "current_name",
     "failure_reason",
     "load_family",
     "import_error",
@@ -110,19 +109,12 @@ def load_family(name: str) -> Family:
     return plugin
 
 
-def current_name(name: str) -> str:
-    """The name with a former variant name (`Family.aliases`) replaced by the current one."""
-    key, _, former = name.partition("/")
-    current = load_family(name).aliases.get(former)
-    return name if current is None else f"{key}/{current}".removesuffix("/")
-
-
 def get_variant(name: str) -> Variant:
     """The declared properties of a method, given as `family` or `family/variant`.
 
     Raises PluginError if its family has no such variant.
     """
-    parent, name = load_family(name), current_name(name)
+    parent = load_family(name)
     key = name.partition("/")[2]
     if key not in parent.variants or name not in parent.method_names():
         problem = f"'{parent.name}' has no variant '{key}'"

@@ -10,7 +10,6 @@ from typing import TYPE_CHECKING, Any
 from rlbench.errors import PluginError
 from rlbench.registry.discovery import list_entries, module_file, plugin_file_error, resolve
 from rlbench.registry.lookup import (
-    current_name,
     get_variant,
     import_error,
     list_plugins,
@@ -56,7 +55,6 @@ def load_method(
 
     from rlbench.method import Method
 
-    name = current_name(name)
     if failure := import_failure(name):
         raise failure
     declared = get_variant(name)
@@ -91,7 +89,7 @@ def shipped_weights(name: str) -> Path:
 
     Raises PluginError if there is no such module.
     """
-    name = get_variant(name).weights_from or current_name(name)
+    name = get_variant(name).weights_from or name
     parent = load_family(name)
     return module_file(parent.build).parent / "cards" / parent.weights_file(name.partition("/")[2])
 
@@ -103,7 +101,6 @@ def training_task(name: str, device: torch.device | str = "cpu", seed: int = 0) 
     """
     import torch
 
-    name = current_name(name)
     if reason := untrainable_reason(name):
         raise PluginError(f"'{name}' {reason}")
     with exits_as_errors():
@@ -153,9 +150,8 @@ def expand(
         key, _, rest = pattern.partition("/")
         for parent in _families(on_skip) if key == "all" else [key]:
             exact = f"{parent}/{rest}" if rest else parent
-            for name in (
-                load_family(parent).method_names() if rest == "*" else [current_name(exact)]
-            ):
+            family = load_family(parent)
+            for name in family.method_names() if rest == "*" else [exact]:
                 is_named = key != "all" and rest != "*"
                 if is_named or get_variant(name).pretrained or not pretrained_only:
                     selected[name] = None

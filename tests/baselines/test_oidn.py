@@ -12,7 +12,6 @@ import torch
 from baselines.oidn import FAMILY
 from baselines.oidn.method import VARIANTS, Oidn, build, to_radiance
 from baselines.oidn.train import _frame_loss, training_task
-from rlbench import registry
 from rlbench.clips.in_memory import InMemoryClip
 from rlbench.frames import Frame, GBuffer, Reference, Samples, StoredPool
 from rlbench.method import Method
@@ -64,12 +63,6 @@ def test_the_network_has_oidns_size(variant, parameters):
 def test_the_small_networks_differ_in_their_widths_only(variant):
     assert VARIANTS[variant].widths != VARIANTS[""].widths
     assert replace(VARIANTS[variant], widths=VARIANTS[""].widths) == VARIANTS[""]
-
-
-def test_the_former_name_of_retrained_small_is_an_alias():
-    assert registry.expand(["oidn/small", "oidn/retrained-small"]) == ["oidn/retrained-small"]
-    assert "oidn/small" not in FAMILY.method_names()
-    assert registry.shipped_weights("oidn/small").name == "retrained-small.safetensors"
 
 
 def test_every_variant_of_the_family_can_be_built():

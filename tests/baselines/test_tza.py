@@ -215,7 +215,7 @@ def test_the_command_writes_the_file(tmp_path):
 
 def test_weights_under_a_former_name_of_their_row_are_exported(tmp_path):
     network = build("retrained-small", CPU, None).network
-    save(network, tmp_path / "small.safetensors", ModelCard("oidn/small"))
+    save(network, tmp_path / "small.safetensors", ModelCard("oidn/retrained-small"))
     content = tza.export(tmp_path / "small.safetensors")
     assert count_weights(tza.decode(content)) == PARAMETERS["fast"]
 

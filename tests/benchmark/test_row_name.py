@@ -1,10 +1,9 @@
-"""Names of rows: printed and parsed alike, and old labels under their new names."""
+"""Names of rows: printed and parsed alike."""
 
 from __future__ import annotations
 
 import pytest
 
-from rlbench.benchmark.results_v1 import current_name
 from rlbench.benchmark.row_name import RowName, RowOptions
 
 
@@ -38,17 +37,3 @@ def test_a_name_is_parsed_as_it_is_printed(text, parts):
 )
 def test_a_label_says_backend_precision_tiles_and_weights(text, options):
     assert RowName.parse(text).options == options
-
-
-@pytest.mark.parametrize(
-    ("old", "new"),
-    [
-        ("ours@half", "ours@bf16"),
-        ("ours/A2@half-seed0", "ours/A2@bf16-seed0"),
-        ("ours/half", "ours/half"),
-        ("ours@halfway", "ours@halfway"),
-        ("ours@seed0-half", "ours@seed0-half"),
-    ],
-)
-def test_rows_in_half_precision_have_a_new_label(old, new):
-    assert current_name(old) == new

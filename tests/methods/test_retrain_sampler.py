@@ -95,7 +95,7 @@ def test_the_command_takes_a_former_learner_name_and_writes_the_current_one(
     clips, out = tmp_path / "clips", tmp_path / "out"
     for name in ("one", "two", "three"):
         write_noise(clips / name, h=40, w=48, frames=3)
-    words = f"x --by ppo-pixel --frames 2 --crop 32 --clips {clips} --out {out}"
+    words = f"x --by reinforce --frames 2 --crop 32 --clips {clips} --out {out}"
     monkeypatch.setattr(sys, "argv", words.split())
     retrain_sampler.main()
     assert [file.name for file in sorted(out.iterdir())] == [

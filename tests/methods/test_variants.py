@@ -11,7 +11,6 @@ from methods.ours import FAMILY
 from methods.ours.method import CARDS
 from methods.ours.networks import Networks
 from methods.ours.variants import SLOTS, VARIANTS, Config
-from rlbench import registry
 from rlbench.weights import read_card
 
 
@@ -138,28 +137,6 @@ def test_the_table_and_the_family_name_the_same_variants():
 @pytest.mark.parametrize("variant", VARIANTS)
 def test_no_more_samples_are_drawn_than_the_encoder_reads(variant):
     assert FAMILY.variants[variant].traits.max_samples == SLOTS
-
-
-@pytest.mark.parametrize(
-    ("former", "current"),
-    [
-        ("ours/lean", "ours"),
-        ("ours/ppo", "ours/latent-reinforce"),
-        ("ours/reinforce", "ours/latent-reinforce"),
-        ("ours/B1", "ours/latent-B1"),
-    ],
-)
-def test_a_former_name_is_an_alias_of_the_current_one(former, current):
-    variant = current.partition("/")[2]
-    assert registry.expand([former, current]) == [current]
-    assert former not in FAMILY.method_names()
-    assert registry.get_variant(former) is FAMILY.variants[variant]
-    assert registry.load_method(former, weights="random").config == VARIANTS[variant]
-
-
-def test_every_former_name_leads_to_a_variant_and_is_none_itself():
-    assert set(FAMILY.aliases.values()) <= set(VARIANTS)
-    assert not set(FAMILY.aliases) & set(VARIANTS)
 
 
 FORMER_FIELDS = {

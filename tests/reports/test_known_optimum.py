@@ -54,13 +54,6 @@ def test_the_figure_is_not_blank(rows, tmp_path):
     assert image.getextrema() == (pytest.approx(0, abs=60), 255)
 
 
-def test_old_names_of_learners_are_read_as_the_current_ones(tmp_path):
-    file = tmp_path / "known_optimum.csv"
-    file.write_text('learner,score\nppo-pixel+surrogate,1\n"ppo-pixel, no price",1\ncritic,1\n')
-    names = ["reinforce+surrogate", "reinforce, no price", "critic"]
-    assert read_rows(file)["learner"].tolist() == names
-
-
 def test_every_learner_of_the_committed_results_has_a_line_style():
     assert set(read_rows(CSV)["learner"]) == set(LINE_STYLES)
 

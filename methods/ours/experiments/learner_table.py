@@ -13,12 +13,6 @@ __all__ = ["TABLE", "LearnerTable", "Training"]
 
 TABLE = "known_optimum.csv"
 COLUMNS = ("learner", "mode", "seed", "side", "of", "frames", "seconds", "score")  # of: in all
-FORMER_NAMES = {  # learners in tables that were written before
-    "ppo-pixel": "reinforce",
-    "ppo-pixel+surrogate": "reinforce+surrogate",
-    "ppo-pixel, no price": "reinforce, no price",
-    "ppo-pixel, single pixels": "reinforce, single pixels",
-}
 
 
 class Training(NamedTuple):
@@ -51,7 +45,7 @@ class LearnerTable:
         rows: list[dict[str, str]] = []
         if file.exists():
             with file.open(newline="") as content:
-                rows = [_with_current_name(row) for row in csv.DictReader(content)]
+                rows = list(csv.DictReader(content))
         if other := {(row["side"], row["of"]) for row in rows} - {(str(side), str(frames))}:
             found = " and ".join(f"--frames {of} --side {pixels}" for pixels, of in sorted(other))
             raise ValueError(
@@ -77,7 +71,3 @@ class LearnerTable:
             writer = csv.DictWriter(out, COLUMNS, lineterminator="\n")
             writer.writeheader()
             writer.writerows(self.rows)
-
-
-def _with_current_name(row: dict[str, str]) -> dict[str, str]:
-    return row | {"learner": FORMER_NAMES.get(row["learner"], row["learner"])}

@@ -20,7 +20,6 @@ from methods.ours import FAMILY
 from methods.ours.experiments.sampler_task import SamplerTask
 from methods.ours.method import CARDS
 from methods.ours.policy import (
-    FORMER_NAMES,
     LEARNERS,
     RLLIB_APPO,
     BlockPolicyGradient,
@@ -146,7 +145,6 @@ def main() -> None:
             f"the folder has {len(clips)}. Render some with 'rlbench render --preset train', or "
             "choose another folder"
         )
-    name = FORMER_NAMES.get(arguments.by, arguments.by)
     validate = clips[:: len(clips) // 2][:2]
     task = SamplerTask(
         tuple(clip for clip in clips if clip not in validate),
@@ -155,11 +153,11 @@ def main() -> None:
         one_policy=arguments.one_policy,
         crop=arguments.crop,
         seed=arguments.seed,
-        min_samples=0 if name == RLLIB_APPO else make_learner(name, 1).min_samples,
+        min_samples=0 if arguments.by == RLLIB_APPO else make_learner(arguments.by, 1).min_samples,
     )
     command = shlex.join([*PROGRAM.split(), *sys.argv[1:]])
     for row, psnr in retrain(
-        name, task, arguments.frames, validate, arguments.out, command
+        arguments.by, task, arguments.frames, validate, arguments.out, command
     ).items():
         Console().print(f"{row}: {psnr:.2f} dB on the validation clips, mean of 1 and 4 spp")
 
@@ -183,7 +181,7 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument(
         "--by",
         default="reinforce",
-        choices=[*learners, *FORMER_NAMES],
+        choices=learners,
         metavar="LEARNER",
         help=f"one of: {', '.join(learners)} (default: reinforce)",
     )

@@ -16,7 +16,6 @@ from rlbench.errors import RlbenchError
 
 __all__ = [
     "APPO",
-    "FORMER_NAMES",
     "LEARNERS",
     "RLLIB_APPO",
     "AllocationProblem",
@@ -41,7 +40,6 @@ LEARNERS: Mapping[str, Callable[[int], SamplerLearner]] = {  # by channels of th
     "gamma": lambda channels: make_gamma_learner(),
     "stochastic": lambda channels: StochasticLearner(),
 }
-FORMER_NAMES = {"ppo-pixel": "reinforce", "ppo-pixel+surrogate": "reinforce+surrogate"}
 APPO = "appo"  # learns from episodes, see methods.ours.one_policy
 RLLIB_APPO = "rllib-appo"  # trains by its own loop, see methods.ours.policy.appo
 
@@ -55,10 +53,9 @@ def make_learner(name: str, channels: int) -> SamplerLearner:
 
     Raises LearnerError for an unknown name, and for `appo` and `rllib-appo`.
 
-    >>> make_learner("ppo-pixel", 39) == make_learner("reinforce", 39)  # a former name
-    True
+    >>> make_learner("surrogate", 39).min_samples
+    1
     """
-    name = FORMER_NAMES.get(name, name)
     if name == RLLIB_APPO:
         raise LearnerError(
             f"'{name}' trains by a loop of its own around an environment: call "

@@ -8,12 +8,11 @@ from __future__ import annotations
 
 import json
 import math
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass
 from dataclasses import fields as dataclass_fields
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from rlbench.benchmark import results_v1
 from rlbench.errors import RlbenchError
 from rlbench.system import documents, paths
 
@@ -30,9 +29,6 @@ __all__ = [
 
 SHIPPED = Path(__file__).parent / "baselines"
 SCHEMA = 3
-SCHEMAS = (1, 2, SCHEMA)  # that are read; schema 1 has `spp` and rows METHOD@half
-RENAMED = {"spp": "target_spp"}  # keys of schema 1
-ADDED = {"seed", "speed"}  # keys that schemas 1 and 2 lack
 TOLERANCE_DB = 0.05  # two machines differ by less in float32, a broken method by more
 
 
@@ -62,7 +58,7 @@ class BaselineEntry:
     psnr: float  # dB
     tolerance_db: float | None = None  # largest allowed fall; None: the baseline's
     stderr_db: float | None = None  # standard error of the mean over `frames`
-    frames: int | None = None  # frames of all clips; None in older baselines
+    frames: int | None = None  # frames of all clips
 
     def __post_init__(self) -> None:
         """Raise BaselineError for numbers that no score can be compared with."""
@@ -135,10 +131,10 @@ def load_baseline(path: Path) -> Baseline:
     except (OSError, ValueError) as error:
         raise BaselineError(f"{error}. Restore the file, or pass another --baseline") from None
     schema = content.get("schema") if isinstance(content, dict) else type(content).__name__
-    if schema not in SCHEMAS:
+    if schema != SCHEMA:
         raise BaselineError(
-            f"{path} has schema {schema}, expected {' or '.join(map(str, SCHEMAS))}. Restore the "
-            "file, or pass another --baseline"
+            f"{path} has schema {schema}, expected {SCHEMA}. Restore the file, or pass another "
+            "--baseline"
         )
     try:
         return _decode(content)
@@ -163,31 +159,15 @@ def write_baseline(baseline: Baseline, path: Path) -> None:
 
 
 def _decode(document: dict[str, Any]) -> Baseline:
-    """A baseline of either schema. Raises ValueError, naming the field that is wrong."""
+    """The baseline in a JSON document. Raises ValueError, naming the field that is wrong."""
     fields = {key: value for key, value in document.items() if key != "schema"}
-    required = {f.name for f in dataclass_fields(Baseline)} - ADDED
-    if missing := sorted(required - fields.keys()):
+    if missing := sorted({f.name for f in dataclass_fields(Baseline)} - fields.keys()):
         raise ValueError(f"missing keys {', '.join(missing)}")
     _check_keys(fields, Baseline)
-    entries = fields["entries"]
-    if isinstance(entries, list):
-        fields["entries"] = [_rename(entry) for entry in entries]
-    baseline = documents.decode(fields, Baseline)
-    return replace(baseline, entries=tuple(_with_current_name(e) for e in baseline.entries))
-
-
-def _rename(entry: Any) -> Any:
-    """An entry under today's keys; anything else is left for `documents.decode` to refuse."""
-    if not isinstance(entry, dict):
-        return entry
-    document: dict[str, Any] = entry
-    renamed = {RENAMED.get(key, key): value for key, value in document.items()}
-    _check_keys(renamed, BaselineEntry)
-    return renamed
-
-
-def _with_current_name(entry: BaselineEntry) -> BaselineEntry:
-    return replace(entry, method=results_v1.current_name(entry.method))
+    for entry in fields["entries"] if isinstance(fields["entries"], list) else ():
+        if isinstance(entry, dict):  # anything else is left for `documents.decode` to refuse
+            _check_keys(entry, BaselineEntry)
+    return documents.decode(fields, Baseline)
 
 
 def _check_keys(document: dict[str, Any], kind: type) -> None:

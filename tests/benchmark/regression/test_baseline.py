@@ -10,12 +10,10 @@ from pathlib import Path
 import pytest
 
 from rlbench.benchmark.regression.baseline import (
-    BaselineEntry,
     BaselineError,
     find_baseline,
     load_baseline,
     shipped_baselines,
-    write_baseline,
 )
 from rlbench.render.presets import PRESETS
 from tests.benchmark.regression.examples import baseline
@@ -41,11 +39,12 @@ def test_a_baseline_is_a_shipped_name_or_a_path():
     ("content", "message"),
     [
         ("{", "is not JSON"),
-        ("[]", "has schema list, expected 1 or 2 or 3"),
-        ('{"schema": 7}', "has schema 7, expected 1 or 2 or 3"),
-        ('{"schema": 1}', "missing, unknown or wrong field"),
+        ("[]", "has schema list, expected 3"),
+        ('{"schema": 7}', "has schema 7, expected 3"),
+        ('{"schema": 3}', "missing, unknown or wrong field"),
         (
-            '{"schema": 1, "preset": "", "command": "", "tolerance_db": 1, "entries": [{"a": 1}]}',
+            '{"schema": 3, "preset": "", "command": "", "tolerance_db": 1, "seed": 0, "speed": [], '
+            '"entries": [{"a": 1}]}',
             "keys a",
         ),
     ],
@@ -61,7 +60,15 @@ ENTRY = {"method": "ours", "scene": "city", "target_spp": 2.0, "psnr": 30.0}
 
 
 def document(**changed: object) -> dict[str, object]:
-    head = {"schema": 2, "preset": "mini", "command": "", "tolerance_db": 0.05, "entries": [ENTRY]}
+    head = {
+        "schema": 3,
+        "preset": "mini",
+        "command": "",
+        "tolerance_db": 0.05,
+        "seed": 0,
+        "speed": [],
+    }
+    head |= {"entries": [ENTRY]}
     return {**head, **changed}
 
 
@@ -116,24 +123,11 @@ def test_a_baseline_of_wrong_types_says_which_field_and_what_to_do(tmp_path, cha
         load_baseline(tmp_path / "b.json")
 
 
-@pytest.mark.parametrize("content", [b"\xff", b'{"schema": 2, "preset": "\xe9"}', b"[" * 100_000])
+@pytest.mark.parametrize("content", [b"\xff", b'{"schema": 3, "preset": "\xe9"}', b"[" * 100_000])
 def test_a_baseline_that_is_not_json_in_utf_8_is_refused(tmp_path, content):
     (tmp_path / "b.json").write_bytes(content)
     with pytest.raises(BaselineError, match="is not JSON.*Restore the file, or pass another"):
         load_baseline(tmp_path / "b.json")
-
-
-def test_a_baseline_of_schema_1_is_read_under_todays_names(tmp_path):
-    old = {"method": "ours/A2@half", "scene": "city", "spp": 2.0, "psnr": 30.0}
-    content = {"schema": 1, "preset": "mini", "command": "", "tolerance_db": 0.1, "entries": [old]}
-    (tmp_path / "b.json").write_text(json.dumps(content))
-    read = load_baseline(tmp_path / "b.json")
-    assert read.entries == (BaselineEntry("ours/A2@bf16", "city", 2.0, 30.0),)
-    write_baseline(read, tmp_path / "b.json")
-    assert json.loads((tmp_path / "b.json").read_text())["entries"] == [
-        {"method": "ours/A2@bf16", "scene": "city", "target_spp": 2.0, "psnr": 30.0}
-    ]
-    assert load_baseline(tmp_path / "b.json") == read
 
 
 def test_a_baseline_that_is_not_there_says_how_to_make_it(tmp_path):
