@@ -133,6 +133,11 @@ def test_integer_buffers_keep_their_type(path):
     assert int(loaded.num_batches_tracked) == 70_001
 
 
+def test_clips_with_one_digest_together_have_their_names_on_the_card(path):
+    save(net(), path, replace(CARD, data=("temple night", "hall"), data_digest="0123abcd"))
+    assert training_clips(path) == {"temple night", "hall"}
+
+
 @pytest.mark.parametrize("suffix", [".safetensors", ".toml"])
 def test_a_missing_file_is_an_error_that_says_how_to_make_it(path, suffix):
     save(net(), path, CARD)

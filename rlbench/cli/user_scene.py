@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 import typer
 
 from rlbench.cli import arguments, options
-from rlbench.cli.arguments import Definition, PixelSize
+from rlbench.cli.arguments import Definition, PixelSize, Seeds
 from rlbench.errors import OptionError
 
 if TYPE_CHECKING:
@@ -33,7 +33,7 @@ def render_scene(
         str | None,
         typer.Option(
             metavar="PATH",
-            help="own, orbit, dolly, still, or a JSON file of matrices",
+            help="own, orbit, dolly, still, wander (random), or a JSON file of matrices",
             rich_help_panel=options.RENDERING,
         ),
     ] = None,
@@ -63,6 +63,23 @@ def render_scene(
             rich_help_panel=options.RENDERING,
         ),
     ] = None,
+    seeds: Annotated[
+        Seeds | None,
+        typer.Option(
+            parser=arguments.parse_seeds,
+            metavar="SEEDS",
+            help="a clip for each random path of --camera wander, such as 0:20; default: 0",
+            rich_help_panel=options.RENDERING,
+        ),
+    ] = None,
+    skip_missing: Annotated[
+        bool,
+        typer.Option(
+            "--skip-missing",
+            help="leave out shapes whose file is missing, and make such textures grey",
+            rich_help_panel=options.RENDERING,
+        ),
+    ] = False,
     define: Annotated[
         list[Definition] | None,
         typer.Option(
@@ -102,6 +119,7 @@ def render_scene(
 
     \b
       rlbench render-scene kitchen/scene.xml --camera dolly --frames 20 --size 320x192
+      rlbench render-scene kitchen/scene.xml --camera wander --seeds 0:20 --out clips/kitchen
       rlbench render-scene mine.py --camera path.json --out clips/mine
       rlbench render-scene atrium.blend --frames 20 -D max_bounces=6
     """
@@ -120,9 +138,25 @@ def render_scene(
         exposure=exposure,
         parameters=tuple(define or ()),
         out=out,
+        seed=seeds[0] if seeds else None,
+        skip_missing=skip_missing,
     )
     with open_executor(engine, ray_address) as executor:
-        typer.echo(render_clip(scene, get_preset(preset), tracer, executor))
+        for each in _each_seed(scene, seeds or Seeds(())):
+            typer.echo(render_clip(each, get_preset(preset), tracer, executor))
+
+
+def _each_seed(scene: UserSceneOptions, seeds: Seeds) -> list[UserSceneOptions]:
+    """The options of each clip; several clips lie in folders within the given one."""
+    from dataclasses import replace
+
+    if len(seeds) < 2:
+        return [scene]
+    folder = scene.out
+    return [
+        replace(scene, seed=seed, out=folder and folder / f"{scene.camera}-{seed:03d}")
+        for seed in seeds
+    ]
 
 
 def render_clip(

@@ -96,6 +96,8 @@ class Header:
         buffers: buffers of the G-buffer, keys of `BUFFER_CHANNELS`.
         pools: kinds of sample pool, for example "path".
         limitations: requirements of the format that the clip does not meet, keys of `LIMITATIONS`.
+        missing_files: files of the scene that did not exist, so their shapes or textures are left
+            out.
         static: neither camera nor objects move; such a clip has no motion buffer.
         cuts: frames that begin a new shot, from 1 to `frames - 1`; all their motion points outside
             the image.
@@ -133,6 +135,7 @@ class Header:
     buffers: tuple[str, ...] = tuple(STANDARD_BUFFERS)
     pools: tuple[str, ...] = ("path",)
     limitations: tuple[str, ...] = ()
+    missing_files: tuple[str, ...] = ()
     static: bool = False
     cuts: tuple[int, ...] = ()
     light_changes: tuple[int, ...] = ()

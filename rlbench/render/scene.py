@@ -56,6 +56,7 @@ class XmlFile:
 
     path: Path
     parameters: tuple[tuple[str, str], ...] = ()  # values that replace the file's <default> values
+    skip_missing: bool = False  # leave out shapes whose file is missing, and make textures grey?
 
 
 class SceneError(RlbenchError, ValueError):
@@ -110,6 +111,17 @@ class Scene:
     xml_file: XmlFile | None = None  # replaces sky and all meshes but the animated ones
     source_hash: str = ""  # hash of a user's scene files; replaces the computed fingerprint
     licence: str = "Apache-2.0"  # of the rendered images
+    missing_files: tuple[str, ...] = ()  # of a user's scene, whose shapes or textures are left out
+    # (frames, (height, width)) -> the scene with a camera path and an exposure chosen by rays
+    inspect: Callable[[int, tuple[int, int]], Scene] | None = None
+
+    def inspected(self, frames: int, size: tuple[int, int]) -> Scene:
+        """The scene as it is rendered: with the camera path and exposure that `inspect` chooses.
+
+        Equal arguments give equal scenes. It may take seconds. Raises SceneError if no path or no
+        light is found.
+        """
+        return replace(self.inspect(frames, size), inspect=None) if self.inspect else self
 
     def light_changes(self, frames: int) -> tuple[int, ...]:
         """Frames, from 1 to `frames - 1`, whose lights differ from those of the frame before."""

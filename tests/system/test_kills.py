@@ -163,21 +163,24 @@ import torch
 from rlbench import registry
 from rlbench.training import TrainingConfig, train
 torch.set_num_threads(1)
-plugin, clip, out = map(Path, sys.argv[1:])
+plugin, clip, own, out = map(Path, sys.argv[1:])
 registry.use_plugin(plugin)
-config = TrainingConfig(frames=120, crop=16, sequence_length=3, eval_interval=6)
-train("blur", [clip], [clip], out, config)
+options = {"sequence_length": 3, "eval_interval": 6, "mix": 0.3, "keep": "best"}
+config = TrainingConfig(frames=120, crop=16, **options)
+train("blur", [clip], {"clip": [clip], "own": [own]}, out, config, mixed_in=[own])
 """
 
 
 def test_train(tmp_path):
     plugin = write_learner(tmp_path)
     clip = write_noise(tmp_path / "clips" / "noise", h=24, w=24)
-    assert kill_and_repeat(lambda out: [TRAIN, plugin, clip, out], tmp_path, 4)
+    own = write_noise(tmp_path / "clips" / "own", h=32, w=20, frames=4)
+    assert kill_and_repeat(lambda out: [TRAIN, plugin, clip, own, out], tmp_path, 4)
     killed, undisturbed = (
         tmp_path / name / "blur.safetensors" for name in ("killed", "undisturbed")
     )
     assert digest(killed) == digest(undisturbed)
     card, expected = read_card(killed), read_card(undisturbed)
     assert card.validation_history == expected.validation_history
+    assert (card.curves, card.kept_at) == (expected.curves, expected.kept_at)
     assert (card.frames_seen, card.steps) == (expected.frames_seen, expected.steps)

@@ -8,12 +8,21 @@ import pytest
 import torch
 from torch import Tensor
 
+from rlbench.clips import decode_cache
 from rlbench.clips.in_memory import InMemoryClip
 from rlbench.clips.procedural.clip import procedural_clip
 from rlbench.clips.stored import open_clip
 from rlbench.frames import Size
 from rlbench.ops.reprojection import reproject
-from rlbench.training.batches import Augmentation, BatchError, Batches, prefetch, sample_budget
+from rlbench.training.batches import (
+    Augmentation,
+    BatchError,
+    Batches,
+    pool_slots,
+    prefetch,
+    sample_budget,
+    sequence_budget,
+)
 from tests.conftest import write_noise
 from tests.procedural_folder import write_world
 
@@ -126,6 +135,51 @@ def test_scene_and_budget_of_a_sequence_are_independent(tmp_path):
     batches = Batches(folders, batch=1, crop=16, sequence_length=4, seed=0)
     pairs = {(len(batches.sequence(n).frames), sample_budget(budgets, 0, n)) for n in range(96)}
     assert len(pairs) == 16  # each is missed by 96 sequences with probability 0.002
+
+
+@pytest.mark.parametrize("batch", [1, 3])
+def test_the_share_of_sequences_from_mixed_in_clips_is_the_one_requested(tmp_path, batch):
+    """The first clip of each of 200 sequences; a share outside the bounds has a chance of 1e-4."""
+    few = [write_noise(tmp_path / "two", h=16, w=16, frames=2, pool_spp=2)]
+    many = [write_noise(tmp_path / str(n), h=16, w=16, frames=3, pool_spp=4) for n in range(4)]
+    batches = Batches(many, batch, 16, 3, seed=0, mixed_in=few, mix=0.3)
+    count = sum(len(batches.sequence(index)) == 2 for index in range(200))
+    assert abs(count - 60) < 4 * (200 * 0.3 * 0.7) ** 0.5
+
+
+def test_clips_of_other_sizes_lengths_and_pools_make_batches(tmp_path):
+    shapes = ((16, 24, 2, 2), (40, 20, 5, 2), (32, 32, 3, 8), (20, 20, 4, 8))
+    folders = [
+        write_noise(tmp_path / str(n), h=h, w=w, frames=frames, pool_spp=spp)
+        for n, (h, w, frames, spp) in enumerate(shapes)
+    ]
+    batches = Batches(folders, batch=3, crop=16, sequence_length=3, seed=0)
+    clips = [batches.sequence(index) for index in range(24)]
+    assert {clip.size for clip in clips} == {Size(3, 16, 16)}
+    assert {len(clip) for clip in clips} == {2, 3}
+    assert {pool_slots(clip.frames[0]) for clip in clips} == {2, 8}
+
+
+def test_a_budget_is_limited_to_the_stored_samples(tmp_path):
+    folder = write_noise(tmp_path / "few", h=16, w=16, pool_spp=2)
+    clip = Batches([folder], batch=1, crop=16, sequence_length=2, seed=0).sequence(0)
+    assert [sequence_budget(clip, (spp,), 0, 0) for spp in (0.5, 2.0, 4.0)] == [0.5, 2.0, 2.0]
+
+
+@pytest.mark.parametrize(("clips", "mix"), [(1, 0.0), (1, 1.0), (0, 0.5)])
+def test_a_share_without_clips_to_mix_and_clips_without_a_share_are_refused(tmp_path, clips, mix):
+    folder = write_noise(tmp_path / "noise", h=16, w=16)
+    with pytest.raises(BatchError, match=f"{clips} clips are mixed in at a share of {mix:g}"):
+        Batches([folder], 1, 16, 2, seed=0, mixed_in=[folder] * clips, mix=mix)
+
+
+def test_clips_outside_of_the_cache_are_decoded_once(tmp_path, monkeypatch):
+    folder = write_noise(tmp_path / "mine" / "shot", h=16, w=16, frames=1)
+    batches = Batches([folder], batch=2, crop=16, sequence_length=1, seed=0)
+    list(batches.sequence(0))
+    monkeypatch.setattr(decode_cache, "read_exr", None)  # would raise TypeError
+    frame = batches.sequence(1).frames[0]
+    assert frame.reference.mean.shape == (2, 3, 16, 16)
 
 
 @pytest.mark.parametrize("mirror", [False, True])

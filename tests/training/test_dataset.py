@@ -35,7 +35,10 @@ def test_the_first_and_the_middle_clip_validate(rendered):
 
 def test_of_two_clips_one_validates(rendered):
     split = dataset.split_generated("train", (30, 31))
-    assert (split.train, split.validation) == ([Path("train", "31")], {"train": [Path("train", "30")]})
+    assert (split.train, split.validation) == (
+        [Path("train", "31")],
+        {"train": [Path("train", "30")]},
+    )
     assert rendered == [("train", None, (30, 31))]
 
 

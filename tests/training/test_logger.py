@@ -15,7 +15,14 @@ from tests.learning_plugin import write_learner
 
 # six sequences, a checkpoint after every second one
 CONFIG = TrainingConfig(frames=18, crop=16, sequence_length=3, eval_interval=6)
-SCALARS = {"loss", "learning rate", "frames a second", "validation PSNR"}
+SCALARS = {
+    "loss",
+    "learning rate",
+    "frames a second",
+    "validation PSNR",
+    "validation PSNR/validation",
+    "validation PSNR of first frames/validation",
+}
 
 
 class KilledError(Exception):

@@ -14,7 +14,7 @@ import safetensors.torch
 import torch
 
 from rlbench import registry
-from rlbench.training import TrainingConfig, TrainingError, checkpoint, train
+from rlbench.training import TrainingConfig, TrainingError, checkpoint, logger, train, validation
 from rlbench.training.train_state import TrainState
 from rlbench.weights import ModelCard, digest, read_card
 from tests.conftest import write_noise
@@ -112,6 +112,68 @@ def test_an_auxiliary_network_is_in_checkpoints_and_not_in_the_weights_file(tmp_
         "weight": [3, 3, 3, 3],
         "bias": [3],
     }
+
+
+def rising_then_falling(monkeypatch) -> None:
+    """Validation of a real training, whose best of four PSNRs is made the second."""
+    scores = iter((20.0, 25.0, 22.0, 21.0))
+    validate = validation.validate
+
+    def scored(*arguments):
+        result = validate(*arguments)
+        return result._replace(sets={"own": validation.SetScore(next(scores), 19.0)})
+
+    monkeypatch.setattr(validation, "validate", scored)
+
+
+def test_the_weights_of_the_best_validation_are_kept_and_a_kill_loses_none(tmp_path, monkeypatch):
+    registry.use_plugin(write_learner(tmp_path))
+    clip = write_noise(tmp_path / "noise", h=24, w=24)
+    averages = {}
+    update = TrainState.keep_average
+
+    def recorded(self):
+        update(self)
+        averages[self.steps] = {k: v.clone() for k, v in self.ema_networks.state_dict().items()}
+
+    monkeypatch.setattr(TrainState, "keep_average", recorded)
+    rising_then_falling(monkeypatch)
+    config = TrainingConfig(24, crop=16, sequence_length=3, eval_interval=6, keep="best:own")
+    arguments = ("blur", [clip], {"own": [clip]}, tmp_path / "run", config)
+    with pytest.raises(KilledError):
+        train(*arguments, on_progress=kill_after(7))
+    result = train(*arguments)
+    card = read_card(result.weights)
+    assert (card.frames_seen, card.kept_at) == (24, 12)
+    assert card.note.startswith("kept: best:own, 25.00 dB after 12 of 24 frames")
+    assert card.curves["own"][1] == (12, 25.0, 19.0)
+    stored = safetensors.torch.load_file(result.weights)
+    expected = {name: tensor.half() for name, tensor in averages[12].items()}
+    torch.testing.assert_close(stored, expected, rtol=0, atol=0)
+
+
+@pytest.mark.parametrize("keep", ["best:other", "worst"])
+def test_weights_cannot_be_kept_by_a_set_that_does_not_exist(tmp_path, keep):
+    registry.use_plugin(write_learner(tmp_path))
+    clip = write_noise(tmp_path / "noise", h=24, w=24)
+    with pytest.raises(TrainingError, match=f"'{keep}': validation sets are own. Choose last, b"):
+        train("blur", [clip], {"own": [clip]}, tmp_path, TrainingConfig(keep=keep))
+
+
+def test_other_programs_read_the_state_of_a_run_from_its_folder(tmp_path):
+    registry.use_plugin(write_learner(tmp_path))
+    clip = write_noise(tmp_path / "noise", h=24, w=24)
+    config = TrainingConfig(12, crop=16, sequence_length=3, eval_interval=6)
+    sets = {"one": [clip], "two": [clip]}
+    result = train("blur", [clip], sets, tmp_path / "run", config)
+    status = json.loads((tmp_path / "run" / logger.STATUS).read_text())
+    last = json.loads((tmp_path / "run" / logger.LOG).read_text().splitlines()[-1])
+    assert (status["method"], status["frames"], status["frames_seen"]) == ("blur", 12, 12)
+    assert status["finished"]
+    assert status["validation"] == last["validation"]
+    assert set(status["validation"]) == {"one", "two"}
+    _, psnr, first = result.progress.curves["one"][-1]
+    assert status["validation"]["one"] == {"psnr": psnr, "first_frames": first}
 
 
 @pytest.mark.parametrize(

@@ -8,6 +8,7 @@ import pytest
 
 from rlbench.cli import console
 from rlbench.training import Progress
+from rlbench.training.progress import combine_digests, describe_changes
 
 
 def test_the_progress_bar_shows_loss_validation_and_speed():
@@ -16,6 +17,19 @@ def test_the_progress_bar_shows_loss_validation_and_speed():
     status = console.training_status(progress, 0.12345)
     assert status == "loss 0.1235, validation 21.50 dB, 12.3 frames/s"
     assert console.training_status(Progress(), 1.0) == "loss 1.0000, 0.0 frames/s"
+
+
+def test_the_progress_bar_shows_each_of_several_validation_sets():
+    curves = {"train": [(3, 20.0, 18.0)], "real": [(3, 24.0, 21.0)]}
+    progress = Progress(validation_history=[(3, 22.0)], curves=curves)
+    status = console.training_status(progress, 0.5)
+    assert status == "loss 0.5000, validation 22.00 dB (train 20.00, real 24.00), 0.0 frames/s"
+
+
+def test_many_clips_of_a_changed_config_are_counted():
+    clips = [f"shot-{number} 0123" for number in range(9)]
+    (change,) = describe_changes({"data": clips}, {"data": clips[:1]})
+    assert change == f"data 9 clips {combine_digests(clips)} -> ['shot-0 0123']"
 
 
 @pytest.mark.parametrize(

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
 
@@ -71,6 +71,10 @@ class Job:
         )
         return f"{fingerprint(self.scene, preset.frames)} {size} {preset.frames} frames {samples}\n"
 
+    def inspected(self) -> Job:
+        """The job with its scene as it is rendered; see `Scene.inspected`."""
+        return replace(self, scene=self.scene.inspected(self.preset.frames, self.preset.size))
+
     @property
     def is_finished(self) -> bool:
         """Does the folder hold a header and all frames with this content key?"""
@@ -112,6 +116,7 @@ class Job:
             buffers=self.buffers,
             pools=FRAME_POOLS,
             static=scene.static,
+            missing_files=scene.missing_files,
             cuts=tuple(cut for cut in scene.cuts if cut < preset.frames),
             light_changes=scene.light_changes(preset.frames),
             licence=scene.licence,

@@ -187,7 +187,9 @@ def open_clip_tracer(folder: Path) -> Tracer:
     gc.collect()  # while the old scene is alive, Dr.Jit compiles kernels for the next one again
     header = read_header(folder)
     cap = header.radiance_cap / header.exposure
-    return open_tracer(scene_of_folder(folder), header.height, header.width, header.seed, cap)
+    size = header.height, header.width
+    scene = scene_of_folder(folder).inspected(header.frames, size)
+    return open_tracer(scene, *size, header.seed, cap)
 
 
 @lru_cache(maxsize=1)

@@ -161,6 +161,7 @@ def _render_frames(
     jobs: list[Job], on_progress: ProgressCallback, executor: Executor
 ) -> list[Exception]:
     """Render the missing frames, then write headers; returns the errors of frames that failed."""
+    jobs = [job.inspected() for job in jobs]
     for job in jobs:
         job.claim_folder()
     renderer = FrameRenderer(jobs)

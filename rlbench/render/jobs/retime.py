@@ -31,7 +31,8 @@ def remeasure_sample_ms(folder: Path) -> Header:
             f"measured on '{this_machine}'. Run this on '{header.device}'; `rlbench run --cost "
             "measured` times samples on this machine"
         )
-    tracer = open_tracer(scene_of_clip(header.name), header.height, header.width)
+    size = header.height, header.width
+    tracer = open_tracer(scene_of_clip(header.name).inspected(header.frames, size), *size)
     times = measure_trace_times(tracer)
     del tracer
     gc.collect()  # while the old scene is alive, Dr.Jit compiles kernels for the next one again

@@ -27,7 +27,8 @@ def find_files(state: Any) -> list[Path]:
     if missing:
         raise SceneError(
             "the scene refers to files that do not exist:\n  " + "\n  ".join(missing) + "\n"
-            "Relative paths start at the folder of the XML file"
+            "Relative paths start at the folder of the XML file. --skip-missing leaves these "
+            "shapes out and makes these textures grey"
         )
     return files
 

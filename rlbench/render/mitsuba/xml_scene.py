@@ -3,14 +3,15 @@
 from __future__ import annotations
 
 import hashlib
+import re
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
-from rlbench.render.mitsuba import xml_checks
+from rlbench.render.mitsuba import xml_checks, xml_repairs
 from rlbench.render.mitsuba.xml_nodes import children, file_resolver
 from rlbench.render.scene import Mesh, SceneError, XmlFile
 
@@ -19,6 +20,8 @@ __all__ = ["XmlSettings", "build_scene", "named_meshes", "read_settings"]
 MAX_DEPTH = 8  # longest light path, in edges, if the file has no integrator
 PATH_INTEGRATORS = ("path", "direct")  # integrators that trace the same light paths as rlbench
 FILM = {"width": 768, "height": 576}  # pixels, Mitsuba's default
+VERSION = re.compile(r"<scene\b[^>]*\bversion\s*=\s*[\"'](\d+)")
+REPAIRS_VERSION = 1  # raised whenever `xml_repairs` changes what is rendered
 
 
 @dataclass(frozen=True, eq=False)
@@ -31,6 +34,16 @@ class XmlSettings:
     fov: float  # horizontal, degrees
     aspect: float  # width of the sensor's film divided by its height
     notes: list[str] = field(default_factory=list)  # differences between the file and the rendering
+    missing_files: tuple[str, ...] = ()  # that are left out
+
+
+class _ParsedFile(NamedTuple):
+    """A file as Mitsuba's parser sees it, after repairs."""
+
+    config: Any
+    state: Any
+    notes: list[str]
+    missing_files: list[str]
 
 
 def read_settings(xml_file: XmlFile) -> XmlSettings:
@@ -38,22 +51,29 @@ def read_settings(xml_file: XmlFile) -> XmlSettings:
 
     Every version that Mitsuba upgrades is accepted; relative paths start at the folder of the file.
     Of the integrator only the maximum depth is used; rlbench's own sampler and box filter replace
-    those of the file. Raises SceneError for XML errors, missing files, participating media,
-    emitters that Mitsuba renders too dark, and sensors that are not a pinhole.
+    those of the file. What Mitsuba 3 does not read is repaired (`xml_repairs`), with a note. Raises
+    SceneError for XML errors, missing files, participating media, emitters that Mitsuba renders too
+    dark, and sensors that are not a pinhole.
     """
-    with _parse(xml_file, merge=False) as (_, state):
-        from mitsuba import parser
-
-        notes: list[str] = []
+    with _parse(xml_file, merge=False) as (_, state, repairs, missing_files):
+        notes = [*repairs]
+        if missing_files:
+            notes.append(
+                f"{len(missing_files)} files are missing: their shapes are left out, their "
+                f"textures grey ({', '.join(missing_files[:3])}{', ...' * bool(missing_files[3:])})"
+            )
         files = xml_checks.find_files(state)
         xml_checks.refuse_media(state)
         xml_checks.refuse_attribute_emitters(state)
         camera_to_world, fov, aspect = _read_sensor(state, notes)
         max_depth = _read_max_depth(state, notes)
-        digest = hashlib.blake2b(parser.write_string(state).encode(), digest_size=16)
-        for file in files:
+        content = f"{xml_file.parameters} {missing_files} {REPAIRS_VERSION}"
+        digest = hashlib.blake2b(content.encode(), digest_size=16)
+        for file in (xml_file.path, *files):
             digest.update(hashlib.blake2b(file.read_bytes()).digest())
-    return XmlSettings(digest.hexdigest(), max_depth, camera_to_world, fov, aspect, notes)
+    return XmlSettings(
+        digest.hexdigest(), max_depth, camera_to_world, fov, aspect, notes, tuple(missing_files)
+    )
 
 
 def build_scene(xml_file: XmlFile, merge: bool) -> Any:
@@ -64,7 +84,7 @@ def build_scene(xml_file: XmlFile, merge: bool) -> Any:
     import mitsuba as mi
     from mitsuba import parser
 
-    with _parse(xml_file, merge) as (config, state):
+    with _parse(xml_file, merge) as (config, state, *_):
         # only these nodes, because Mitsuba counts a property as used once it has been read
         for node in (n for n in state.nodes if n.props.plugin_name() in ("scene", "merge")):
             for name, child in children(state, node):
@@ -94,8 +114,8 @@ def named_meshes(xml_file: XmlFile) -> dict[str, Mesh]:
 
 
 @contextmanager
-def _parse(xml_file: XmlFile, merge: bool) -> Iterator[tuple[Any, Any]]:
-    """Mitsuba's parser settings and nodes; inside, relative paths start at the file's folder.
+def _parse(xml_file: XmlFile, merge: bool) -> Iterator[_ParsedFile]:
+    """A parsed and repaired file; inside, relative paths start at the file's folder.
 
     Raises Mitsuba's errors as SceneError, with their message.
     """
@@ -113,9 +133,18 @@ def _parse(xml_file: XmlFile, merge: bool) -> Iterator[tuple[Any, Any]]:
     config = parser.ParserConfig(str(mi.variant()))
     config.merge_equivalent = config.merge_meshes = merge
     try:
-        state = parser.parse_file(config, str(path), **dict(xml_file.parameters))
+        original = path.read_text("utf-8", errors="replace")
+        text, notes = xml_repairs.repair_text(original)
+        parameters = dict(xml_file.parameters)
+        if text == original:
+            state = parser.parse_file(config, str(path), **parameters)
+        else:
+            state = parser.parse_string(config, text, **parameters)
+        version = VERSION.search(text)
+        notes += xml_repairs.repair_nodes(state, int(version[1]) if version else 3)
+        missing = xml_repairs.replace_missing_files(state) if xml_file.skip_missing else []
         parser.transform_all(config, state)
-        yield config, state
+        yield _ParsedFile(config, state, notes, missing)
     except RuntimeError as error:
         raise SceneError(f"Mitsuba cannot use {path}: {error}") from error
     finally:

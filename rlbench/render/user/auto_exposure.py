@@ -17,8 +17,10 @@ from rlbench.render.scene import SceneError
 
 __all__ = [
     "estimate_exposure",
+    "hit_distances",
     "measure_distance",
     "mitsuba_errors",
+    "trace_areas",
 ]
 
 GRID = 32  # rays along each side of the image
@@ -30,7 +32,7 @@ def measure_distance(tracer: Tracer) -> float:
 
     The median over the middle quarter. Raises SceneError if no surface is visible there.
     """
-    hits = _hit_distances(tracer)[0].reshape(GRID, GRID)
+    hits = hit_distances(tracer)[0].reshape(GRID, GRID)
     middle = hits[GRID // 4 : -GRID // 4, GRID // 4 : -GRID // 4]
     visible = middle[np.isfinite(middle)]
     if not len(visible):
@@ -54,18 +56,18 @@ def estimate_exposure(tracer: Tracer, frames: int) -> float:
     with mitsuba_errors():
         for index in range(frames):
             tracer.set_time(float(index))
-            is_hit = np.isfinite(_hit_distances(tracer)[0])
+            is_hit = np.isfinite(hit_distances(tracer)[0])
             if not is_hit.any() and not tracer.mi_scene.environment():
                 raise SceneError(_no_surface(tracer))
             has_surface = has_surface or bool(is_hit.any())
-            areas.append(_trace_areas(tracer))
+            areas.append(trace_areas(tracer))
         if not has_surface:
             raise SceneError(_no_surface(tracer))
         render_gbuffer(tracer)
     return exposure_from_areas(np.stack(areas))
 
 
-def _hit_distances(tracer: Tracer) -> tuple[Float[Array, " p"], Float[Array, " p"]]:
+def hit_distances(tracer: Tracer) -> tuple[Float[Array, " p"], Float[Array, " p"]]:
     """For each ray of the grid: distance to the first surface, and 1 if that is a back face."""
     import drjit as dr
     import mitsuba as mi
@@ -85,7 +87,7 @@ def _hit_distances(tracer: Tracer) -> tuple[Float[Array, " p"], Float[Array, " p
     return distances, is_back
 
 
-def _trace_areas(tracer: Tracer) -> Float[Array, " areas"]:
+def trace_areas(tracer: Tracer) -> Float[Array, " areas"]:
     """Luminance of 8 x 8 areas of the current frame. Raises SceneError if all of it is black."""
     step = (np.arange(GRID) + 0.5) / GRID
     rows, columns = ((step * side).astype(np.uint32) for side in (tracer.height, tracer.width))
@@ -97,7 +99,7 @@ def _trace_areas(tracer: Tracer) -> Float[Array, " areas"]:
         areas = area_luminance(finite.mean(0, dtype=np.float64))
         if areas.max() > 0:
             return areas
-    distances, is_back = _hit_distances(tracer)
+    distances, is_back = hit_distances(tracer)
     raise SceneError(
         f"{_describe_camera(tracer)} sees only black: the nearest surface is {distances.min():.3g} "
         f"away, and {is_back.mean():.0%} of what it sees are backs of surfaces. It may be inside a "

@@ -8,6 +8,7 @@ import math
 import re
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 
 from jaxtyping import Float
@@ -17,16 +18,18 @@ from rlbench.parallel.executor import LOCAL, Executor
 from rlbench.render.jobs.job import FRAME_POOLS, Job
 from rlbench.render.jobs.render_clips import render_missing
 from rlbench.render.mitsuba import llvm
-from rlbench.render.mitsuba.open_tracer import open_tracer
+from rlbench.render.mitsuba.open_tracer import Tracer, open_tracer
 from rlbench.render.presets import Preset
 from rlbench.render.scene import Camera, Scene, SceneError
 from rlbench.render.user import auto_exposure, camera_path
 from rlbench.render.user.scene_file import UserScene, open_scene_file
+from rlbench.render.user.wander import WANDER_VERSION, wander
 from rlbench.system import paths
 
 __all__ = ["CameraPath", "UserSceneOptions", "describe_job", "ensure_user_clip", "plan_clip"]
 
 FOLDER = "own-"  # prefix of the preset's folder in the cache
+MOVING = ("orbit", "dolly", "wander")  # paths that depend on the surfaces in view
 SIZE_MULTIPLE = 16  # pixels: chosen widths and heights are multiples of it
 
 
@@ -35,31 +38,37 @@ class UserSceneOptions:
     """The options of `rlbench render-scene`."""
 
     file: Path
-    camera: str = (
-        ""  # still, orbit, dolly or a JSON file; default the scene's animation or an orbit
-    )
+    camera: str = ""  # a kind of path or a JSON file; default the scene's animation or an orbit
     frames: int | None = None  # default: one per matrix, or those of the preset
     size: tuple[int, int] | None = None  # height, width; default: the film's shape at preset size
     exposure: float | None = None  # default: that of the Scene, or an estimate
     parameters: tuple[tuple[str, str], ...] = ()  # values for an XML file's <default> names
     out: Path | None = None  # the clip folder; default one in the cache
+    seed: int | None = None  # of a random path, for `wander` alone
+    skip_missing: bool = False  # leave out shapes and textures whose files do not exist?
 
 
 @dataclass(frozen=True)
 class CameraPath:
-    """The camera's motion: the scene's own, matrices, or an orbit or dolly from the first."""
+    """The camera's motion: the scene's own, matrices, or a path from the first of them."""
 
-    kind: str  # own, still, orbit, dolly, or the name of a JSON file
+    kind: str  # own, still, orbit, dolly, wander, or the name of a JSON file
     matrices: tuple[Float[Array, "4 4"], ...] = ()
     fov: float = 60.0  # horizontal, degrees
+    seed: int = 0  # of wander
 
     @property
     def is_static(self) -> bool:
         """Are all matrices equal?"""
         first = self.matrices[:1]
-        return self.kind not in ("own", "orbit", "dolly") and all(
+        return self.kind not in ("own", *MOVING) and all(
             (m == first[0]).all() for m in self.matrices
         )
+
+    @property
+    def name(self) -> str:
+        """The kind, with the seed of a random path."""
+        return f"{self.kind}-{self.seed:03d}" if self.kind == "wander" else self.kind
 
     def camera_at_time(
         self, path: camera_path.MatrixPath | None = None
@@ -75,6 +84,13 @@ class CameraPath:
             return self.camera_at_time(camera_path.orbit(start, distance, frames))
         return self.camera_at_time(camera_path.dolly(start, distance))
 
+    def choose_camera(self, tracer: Tracer, frames: int) -> Callable[[float], Camera]:
+        """The pinhole on a path that depends on the surfaces in view."""
+        if self.kind != "wander":
+            return self.move_around(auto_exposure.measure_distance(tracer), frames)
+        matrices = wander(tracer, self.matrices[0], self.fov, frames, self.seed)
+        return self.camera_at_time(camera_path.follow_matrices(matrices))
+
 
 def ensure_user_clip(
     options: UserSceneOptions,
@@ -89,15 +105,13 @@ def ensure_user_clip(
     cannot be rendered with these options, and ClipError if `out` holds frames of another renderer.
     """
     llvm.select_variant()
-    user_scene = open_scene_file(options.file, options.parameters)
-    job, path = plan_clip(options, user_scene, preset)
+    user_scene = open_scene_file(options.file, options.parameters, options.skip_missing)
+    job, _ = plan_clip(options, user_scene, preset)
     if job.is_finished:
         return job.folder
     for note in user_scene.notes:
         on_message(note)
-    scene, estimate = _inspect(job.scene, path, job.preset)
-    default = scene.exposure if user_scene.animates_camera else estimate
-    job = replace(job, scene=replace(scene, exposure=options.exposure or default))
+    job = job.inspected()
     on_message(describe_job(job))
     return render_missing([job], None, executor)[0]
 
@@ -105,7 +119,7 @@ def ensure_user_clip(
 def plan_clip(
     options: UserSceneOptions, user_scene: UserScene, preset: Preset
 ) -> tuple[Job, CameraPath]:
-    """The render job of an opened scene, and its camera path; exposure is still to be chosen.
+    """The render job of an opened scene, and its camera path; `Job.inspected` chooses the rest.
 
     Raises SceneError for options that do not fit the scene.
     """
@@ -113,11 +127,12 @@ def plan_clip(
     size = _choose_size(options, user_scene, preset)
     frames = _choose_frames(options, path, preset)
     own_preset = replace(preset, frames=frames, size=size, pools=FRAME_POOLS)
-    name = re.sub(r"[^\w.-]+", "-", f"{user_scene.name}-{path.kind}")
+    name = re.sub(r"[^\w.-]+", "-", f"{user_scene.name}-{path.name}")
     folder = options.out or paths.clips_folder() / f"{FOLDER}{preset.name}" / name
     if folder.exists() and not folder.is_dir():
         raise SceneError(f"--out {folder} is a file; give a folder, which need not exist")
-    return Job(name, _make_scene(options, user_scene, path, own_preset), own_preset, folder), path
+    scene = _make_scene(options, user_scene, path, frames)
+    return Job(name, scene, own_preset, folder), path
 
 
 def describe_job(job: Job) -> str:
@@ -127,33 +142,40 @@ def describe_job(job: Job) -> str:
     return f"{job.name}: {preset.frames} frames of {size}, exposure {job.scene.exposure:g}"
 
 
-def _inspect(scene: Scene, path: CameraPath, preset: Preset) -> tuple[Scene, float]:
-    """The scene with its camera, and an estimated exposure, after a look at every frame."""
+def _inspect(
+    scene: Scene, path: CameraPath, exposure: float | None, frames: int, size: tuple[int, int]
+) -> Scene:
+    """The scene with its camera, and an estimated exposure unless one is given, after a look at
+    every frame.
+    """
+    llvm.select_variant()
     with auto_exposure.mitsuba_errors():
-        tracer = open_tracer(scene, *preset.size)
-    if path.kind in ("orbit", "dolly"):
-        camera = path.move_around(auto_exposure.measure_distance(tracer), preset.frames)
-        tracer.scene = replace(scene, camera=camera)
-    exposure = auto_exposure.estimate_exposure(tracer, preset.frames)
-    inspected = tracer.scene
+        tracer = open_tracer(scene, *size)
+    if path.kind in MOVING:
+        scene = replace(scene, camera=path.choose_camera(tracer, frames))
+        tracer.scene = scene
+    estimate = auto_exposure.estimate_exposure(tracer, frames)
     del tracer
     gc.collect()  # while the old scene is alive, Dr.Jit compiles kernels for the next one again
-    return inspected, exposure
+    return replace(scene, exposure=exposure or estimate)
 
 
 def _choose_path(options: UserSceneOptions, user_scene: UserScene) -> CameraPath:
     kind = options.camera or ("own" if user_scene.animates_camera else "orbit")
+    if options.seed is not None and kind != "wander":
+        raise SceneError(f"--seeds draws random paths, and --camera is {kind}. Use --camera wander")
     if kind == "own":
         return CameraPath(kind)
-    if kind in ("still", "orbit", "dolly"):
-        return CameraPath(kind, (user_scene.sensor_matrix(),), user_scene.fov)
-    matrices, fov = camera_path.read_matrices(Path(kind))
-    return CameraPath(Path(kind).stem, tuple(matrices), fov or user_scene.fov)
+    if kind in ("still", *MOVING):
+        matrices = (user_scene.sensor_matrix(),)
+        return CameraPath(kind, matrices, user_scene.fov, options.seed or 0)
+    read, fov = camera_path.read_matrices(Path(kind))
+    return CameraPath(Path(kind).stem, tuple(read), fov or user_scene.fov)
 
 
 def _choose_frames(options: UserSceneOptions, path: CameraPath, preset: Preset) -> int:
     available = len(path.matrices)
-    if path.kind in ("own", "still", "orbit", "dolly"):
+    if path.kind in ("own", "still", *MOVING):
         return options.frames or preset.frames
     if options.frames and options.frames > available:
         raise SceneError(
@@ -178,17 +200,18 @@ def _choose_size(
 
 
 def _make_scene(
-    options: UserSceneOptions, user_scene: UserScene, path: CameraPath, preset: Preset
+    options: UserSceneOptions, user_scene: UserScene, path: CameraPath, frames: int
 ) -> Scene:
     """The scene before inspection, with the hash of its source files and its camera path."""
     matrices = [matrix.tolist() for matrix in path.matrices]
+    chosen = f"{WANDER_VERSION} {path.name}" if path.kind == "wander" else path.kind
     source = (
-        f"{user_scene.content_hash(preset.frames)} {path.kind} {matrices} {path.fov} "
+        f"{user_scene.content_hash(frames)} {chosen} {matrices} {path.fov} "
         f"exposure {options.exposure}"
     )
     is_own = path.kind == "own"
     scene = user_scene.scene
-    return replace(
+    scene = replace(
         scene,
         name=user_scene.name,
         camera=scene.camera if is_own else path.camera_at_time(),
@@ -197,4 +220,7 @@ def _make_scene(
         static=scene.static if is_own else path.is_static and not user_scene.has_moving_shapes,
         source_hash=hashlib.blake2b(source.encode(), digest_size=16).hexdigest(),
         licence="",  # the scene's author decides
+        missing_files=user_scene.missing_files,
     )
+    exposure = options.exposure or (scene.exposure if user_scene.animates_camera else None)
+    return replace(scene, inspect=partial(_inspect, scene, path, exposure))

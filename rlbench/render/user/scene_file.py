@@ -41,6 +41,7 @@ class UserScene:
     has_moving_shapes: bool = False
     aspect: float = 0.0  # width over height of the film; 0 if the file has none
     notes: list[str] = field(default_factory=list)  # differences between the file and the rendering
+    missing_files: tuple[str, ...] = ()  # that are left out
 
     def sensor_matrix(self) -> Float[Array, "4 4"]:
         """The camera-to-world matrix of the file's sensor.
@@ -58,10 +59,13 @@ class UserScene:
         return f"{self.files_hash} {fingerprint(self.scene, frames)}"
 
 
-def open_scene_file(file: Path, parameters: tuple[tuple[str, str], ...] = ()) -> UserScene:
+def open_scene_file(
+    file: Path, parameters: tuple[tuple[str, str], ...] = (), skip_missing: bool = False
+) -> UserScene:
     """Open an XML or Python file; a Mitsuba variant must be set.
 
-    `parameters` replace <default> values of the XML file. Raises SceneError for a file that does
+    `parameters` replace <default> values of the XML file; with `skip_missing`, shapes and textures
+    whose files do not exist are left out. Raises SceneError for a file that does
     not exist, has another format, or fails.
     """
     if not file.is_file():
@@ -69,15 +73,17 @@ def open_scene_file(file: Path, parameters: tuple[tuple[str, str], ...] = ()) ->
             f"scene file {file} does not exist; render-scene takes a Mitsuba XML or a Python file"
         )
     if file.suffix == ".xml":
-        return _from_xml(XmlFile(file, parameters))
+        return _from_xml(XmlFile(file, parameters, skip_missing))
     if file.suffix != ".py":
         raise SceneError(
             f"{file} is neither .xml (Mitsuba) nor .py; render-scene takes one of these"
         )
-    return _from_python(file, parameters)
+    return _from_python(file, parameters, skip_missing)
 
 
-def _from_python(file: Path, parameters: tuple[tuple[str, str], ...]) -> UserScene:
+def _from_python(
+    file: Path, parameters: tuple[tuple[str, str], ...], skip_missing: bool
+) -> UserScene:
     with python_file.user_errors(file):
         module = python_file.run_file(file)
     files_hash = python_file.hash_modules(file)
@@ -98,7 +104,7 @@ def _from_python(file: Path, parameters: tuple[tuple[str, str], ...]) -> UserSce
             f"{file} defines neither scene(), nor SCENE (the name of an XML file) and "
             "moving(time, rest)"
         )
-    user_scene = _from_xml(XmlFile(file.parent / module.SCENE, parameters))
+    user_scene = _from_xml(XmlFile(file.parent / module.SCENE, parameters, skip_missing))
     user_scene = replace(user_scene, files_hash=f"{files_hash} {user_scene.files_hash}")
     return _animate(user_scene, file, moving)
 
@@ -123,6 +129,7 @@ def _from_xml(xml_file: XmlFile) -> UserScene:
         settings.fov,
         aspect=settings.aspect,
         notes=settings.notes,
+        missing_files=settings.missing_files,
     )
 
 
