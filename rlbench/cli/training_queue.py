@@ -93,9 +93,9 @@ def _prepare(
     if entry.name != entry.method:
         out = out / entry.name.replace("/", "-")
     words = ["--methods", entry.method, "--out", str(out)]
-    parameters = {parameter.name: parameter for parameter in context.command.params}
-    for name, value in options.items():
-        words += _to_words(place, parameters[name], value)
+    for parameter in context.command.params:  # in one order, whatever that of the file
+        if parameter.name in options:
+            words += _to_words(place, parameter, options[parameter.name])
     try:
         with context.command.make_context("train", list(words), parent=context.parent) as parsed:
             params = parsed.params

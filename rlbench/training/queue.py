@@ -171,7 +171,7 @@ def _read_entry(
         raise QueueError(f"{place}: write its method, such as method = 'ours'")
     _check_keys(f"{place} ({method})", table, [*OWN_KEYS, *known])
     name, after = table.get("name", method), table.get("after", [])
-    after = [after] if isinstance(after, str) else after
+    after = after if isinstance(after, list) else [after]
     if not all(isinstance(text, str) for text in [name, *after]):
         raise QueueError(f"{place} ({method}): name and after are names in quotes")
     options = {key: value for key, value in table.items() if key not in OWN_KEYS}
@@ -264,7 +264,7 @@ class Queue:
                 stderr=subprocess.STDOUT,
                 env=os.environ | THREADS,
                 start_new_session=True,  # Ctrl-C in a terminal reaches the queue alone
-                preexec_fn=lambda: _use_spare_time(parent),
+                preexec_fn=lambda: (_end_with(parent), _use_spare_time()),
             )
         self._set_row(training, "running")
         self.on_event(f"{training.name}: started; its output is in {training.output}")
@@ -396,15 +396,19 @@ def _last_line(file: Path) -> str:
     return next((line.strip() for line in reversed(lines) if line.strip()), "")
 
 
-def _use_spare_time(parent: int) -> None:
-    """Run when no other process wants the processor, and end with the parent. Called after fork."""
+def _end_with(parent: int) -> None:
+    """Let this new process end when its parent does, and on SIGINT."""
     signal.signal(signal.SIGINT, signal.SIG_DFL)  # shells let background jobs ignore it
     LIBC.prctl(PR_SET_PDEATHSIG, signal.SIGKILL)
+    if os.getppid() != parent:  # it ended before prctl
+        os._exit(1)
+
+
+def _use_spare_time() -> None:
+    """Let this new process run when no other one wants the processor."""
     os.nice(19)
     with suppress(OSError):  # not every kernel has it
         os.sched_setscheduler(0, os.SCHED_IDLE, os.sched_param(0))
-    if os.getppid() != parent:  # it ended before prctl
-        os._exit(1)
 
 
 @contextmanager
