@@ -63,7 +63,7 @@ SPP := 1000
 SEEDS := 0 1 2 3 4
 TRAINED := $(foreach name,latent latent-A1 latent-A2,ours/$(name):ours-$(name)/$(name))
 
-.PHONY: demo docs baseline table1 variance conventions viewer unseen speed metric-speed overhead overhead-all equal takes standard recovery crossval appendix seeds gradients stress training contact teaser switched videos site test test-all format clean
+.PHONY: demo docs baseline table1 variance conventions viewer unseen speed metric-speed overhead overhead-all equal takes standard recovery crossval appendix seeds gradients stress training campaign contact teaser switched videos site test test-all format clean
 
 demo: .venv/run.stamp
 	$(BIN)/rlbench run --preset mini --keep-images --out $(RESULTS)
@@ -206,6 +206,10 @@ stress: .venv/dev.stamp
 gradients: .venv/run.stamp
 	$(BIN)/python -m methods.ours.experiments.gradients.measure --out docs/results
 	$(BIN)/python -m reports.gradients docs/results
+
+# long trainings of every compared row, on processors that are free: days; resumes if it was killed
+campaign: .venv/run.stamp
+	$(BIN)/rlbench train --queue campaign.toml --out runs/campaign
 
 # validation of each row that ships against its training, from the model cards
 training: .venv/run.stamp
