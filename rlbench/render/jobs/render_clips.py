@@ -10,7 +10,7 @@ import gc
 import importlib.metadata
 import inspect
 import logging
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from functools import partial
 from pathlib import Path
 
@@ -83,7 +83,19 @@ def preset_jobs(
     scene_of: dict[str, Scene] = {}
     for name in selected_names(preset, scenes, seeds):
         scene_of |= _select_takes(name, preset)
+    _check_complete(scene_of, preset)
     return [Job(name, scene, preset, folder / name) for name, scene in scene_of.items()]
+
+
+def _check_complete(scenes: Mapping[str, Scene], preset: Preset) -> None:
+    """Raise SceneError if a clip that is reported would lack parts of its scene."""
+    for name, scene in scenes.items() if preset.uses == ("report",) else ():
+        if scene.missing_files:
+            raise SceneError(
+                f"clip {name} of preset {preset.name} is reported, and its scene misses "
+                f"{len(scene.missing_files)} files, such as {scene.missing_files[0]}: run "
+                f"`rlbench scenes get {scene.name}`"
+            )
 
 
 def selected_names(

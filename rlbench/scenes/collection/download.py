@@ -122,8 +122,9 @@ def get(
         if origins:  # the credit belongs to an incomplete scene too
             with atomic_write(target / CREDITS) as temporary:
                 temporary.write_text(credit(entry), encoding="utf-8")
-        with suppress(OSError):
-            target.rmdir()  # if nothing came
+        for path in sorted(target.rglob("*/"), reverse=True) + [target]:
+            with suppress(OSError):
+                path.rmdir()  # where nothing came
     return Fetched(target, origins["downloaded"], origins["copied"], origins["kept"])
 
 
@@ -217,7 +218,7 @@ def _download(url: str, path: Path, stop: Event) -> None:
     with response, path.open("wb") as stream:
         while not stop.is_set():
             try:
-                chunk = response.read(CHUNK)
+                chunk = response.read1(CHUNK)
             except (OSError, HTTPException) as error:
                 raise _PassingError(f"the connection broke: {error!r}") from error
             if not chunk:

@@ -9,22 +9,20 @@ from dataclasses import replace
 from rlbench.render.mitsuba import llvm
 from rlbench.render.mitsuba.xml_scene import REPAIRS_VERSION
 from rlbench.render.presets import get_preset
-from rlbench.render.scene import Camera, Scene, SceneError, XmlFile
+from rlbench.render.scene import Camera, Scene, XmlFile
 from rlbench.render.user.clip import UserSceneOptions, plan_clip
 from rlbench.render.user.scene_file import open_scene_file
 from rlbench.render.user.wander import WANDER_VERSION
 from rlbench.scenes.collection.catalog import LocatedScene, digest, locate
 
-__all__ = ["PARTIAL_PRESET", "collection_scene"]
-
-PARTIAL_PRESET = "real-development"  # whose scenes may miss files
+__all__ = ["collection_scene"]
 
 
 def collection_scene(name: str, seed: int | None = None) -> Scene:
     """A scene of the collection: a dolly from its own camera or, with `seed`, a random path.
 
-    Nothing is traced before `Scene.inspected`. Raises SceneError for a scene that is not on this
-    machine, and for one that misses files, unless it belongs to the preset `real-development`.
+    Nothing is traced before `Scene.inspected`. Shapes whose files are missing are left out and
+    recorded. Raises SceneError for a scene that is not on this machine.
 
     >>> collection_scene("no-such-scene")
     Traceback (most recent call last):
@@ -33,11 +31,6 @@ def collection_scene(name: str, seed: int | None = None) -> Scene:
     """
     located = locate(name)
     entry = located.entry
-    if located.missing and entry.preset != PARTIAL_PRESET:
-        raise SceneError(
-            f"scene {name} in {located.scene.parent} misses {len(located.missing)} files, such as "
-            f"{located.missing[0]}: run `rlbench scenes get {name}`"
-        )
     source = f"{digest(located)} {REPAIRS_VERSION} {WANDER_VERSION} {name} {seed}"
     described = Scene(
         name,
@@ -47,6 +40,7 @@ def collection_scene(name: str, seed: int | None = None) -> Scene:
         xml_file=XmlFile(located.scene, (), bool(located.missing)),
         source_hash=hashlib.blake2b(source.encode(), digest_size=16).hexdigest(),
         licence=f"{entry.licence}, '{entry.title}' by {entry.author}, {entry.source}",
+        missing_files=located.missing,
     )
 
     def inspect(frames: int, size: tuple[int, int]) -> Scene:
