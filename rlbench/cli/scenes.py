@@ -45,11 +45,12 @@ def scenes(
             "--folder",
             metavar="PATH",
             help="folder for the scenes, or file for the pin; default: the cache",
+            rich_help_panel=options.OUTPUT,
         ),
     ] = None,
     as_json: options.Json = False,
 ) -> None:
-    """List scenes by others with authors and licences, download them, or pin further ones.
+    """List, download and pin scenes by others.
 
     A pin names each file of a scene by commit and git blob id. `get` verifies every file by it and
     continues an interrupted download. The variable RLBENCH_SCENES names a folder of scenes that is

@@ -162,11 +162,11 @@ def _fetch_all(
         stop.set()
         pool.shutdown(cancel_futures=True)
     if reasons:
-        shown = [f"{path}: {reasons[path]}" for path in sorted(reasons)[:LISTED]]
-        shown += [f"and {len(reasons) - LISTED} more"] if len(reasons) > LISTED else []
+        lines = [f"{path}: {reasons[path]}" for path in sorted(reasons)[:LISTED]]
+        lines += [f"and {len(reasons) - LISTED} more"] if len(reasons) > LISTED else []
         raise DownloadError(
             f"{len(reasons)} of {len(entry.files)} files of {entry.name} cannot be downloaded. "
-            f"{'; '.join(shown)}. {_describe_kept(entry, origins.total())}"
+            f"{'; '.join(lines)}. {_describe_kept(entry, origins.total())}"
         )
 
 

@@ -170,25 +170,25 @@ def _list_files(trees: str, commit: str, folder: str, place: str) -> Iterator[Pi
             yield PinnedFile(path, entry["sha"], entry["size"])
 
 
-def _walk(trees: str, tree: str, wanted: str, place: str) -> Iterator[tuple[str, dict[str, Any]]]:
-    """The blobs below the folder `wanted` of a tree, each with its path relative to that folder.
+def _walk(trees: str, tree: str, below: str, place: str) -> Iterator[tuple[str, dict[str, Any]]]:
+    """The blobs below the folder `below` of a tree, each with its path relative to that folder.
 
     GitHub cuts long lists: then each sub-tree that matters is listed by itself.
     """
     answer = _ask(f"{trees}/{tree}?recursive=1", place)
-    prefix = f"{wanted}/" if wanted else ""
+    prefix = f"{below}/" if below else ""
     if not answer.get("truncated"):
         for entry in answer["tree"]:
             if entry["type"] == "blob" and entry["path"].startswith(prefix):
                 yield entry["path"].removeprefix(prefix), entry
         return
-    head, _, rest = wanted.partition("/")
+    head, _, rest = below.partition("/")
     for entry in _ask(f"{trees}/{tree}", place)["tree"]:
-        if entry["type"] == "tree" and (not wanted or entry["path"] == head):
-            inside = "" if wanted else f"{entry['path']}/"
+        if entry["type"] == "tree" and (not below or entry["path"] == head):
+            inside = "" if below else f"{entry['path']}/"
             for path, blob in _walk(trees, entry["sha"], rest, place):
                 yield f"{inside}{path}", blob
-        elif entry["type"] == "blob" and not wanted:
+        elif entry["type"] == "blob" and not below:
             yield entry["path"], entry
 
 

@@ -183,9 +183,13 @@ def test_a_download_continues_after_a_kill_and_removes_what_it_left(server, targ
     call = f"get('attic', address={server.address!r})"
     code = f"from rlbench.scenes.collection.download import get; {call}"
     process = subprocess.Popen([sys.executable, "-c", code])
+    others = {Path(path).name for path in FILES} - {Path(MESH).name}
     deadline = time.monotonic() + 60
-    while time.monotonic() < deadline and len(scene_files(target)) < len(FILES) + 1:
-        time.sleep(0.02)  # three files, one unfinished, and the lock
+    while time.monotonic() < deadline:
+        names = {path.name for path in target.rglob("*")}
+        if others <= names and any(name.endswith(".Mesh000.obj") for name in names):
+            break
+        time.sleep(0.02)
     process.kill()
     process.wait()
     (unfinished,) = (path for path in scene_files(target) if re.search(r"\.[0-9a-f]{32}\.", path))
