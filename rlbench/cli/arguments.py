@@ -12,6 +12,8 @@ from typing import Any, NewType, TypeVar
 
 import typer
 
+from rlbench.errors import OptionError
+
 __all__ = [
     "Budgets",
     "Crop",
@@ -35,6 +37,7 @@ __all__ = [
     "parse_weights",
     "require_methods",
     "split_names",
+    "trainable_methods",
 ]
 
 T = TypeVar("T")
@@ -100,6 +103,30 @@ def expand_methods(
 
     names = split_names(patterns) or require_methods([default])
     return tuple(registry.expand(names, pretrained_only, note))
+
+
+def trainable_methods(patterns: list[str]) -> list[str]:
+    """The selected methods that can be trained; reports the others.
+
+    Raises OptionError for a method with published weights that is selected by its name, and where
+    no selected method can be trained.
+    """
+    from rlbench import registry
+    from rlbench.cli.verbosity import note
+
+    names = expand_methods(patterns, pretrained_only=False)
+    trainable = [name for name in names if registry.is_trainable(name)]
+    by_name = split_names(patterns)
+    for name in names:
+        reason = registry.untrainable_reason(name)
+        if name in by_name and registry.get_variant(name).trained_by:
+            raise OptionError(f"{name} {reason}")
+        if reason and trainable:
+            note(f"{name} {reason}")
+    if not trainable:
+        reasons = ", ".join(f"{name} {registry.untrainable_reason(name)}" for name in names)
+        raise OptionError(f"nothing to train: {reasons}")
+    return trainable
 
 
 @text_parser

@@ -171,6 +171,7 @@ def _row(entry: CollectionScene) -> dict[str, Any]:
     located = find_located(entry)
     return {
         **{key: value for key, value in vars(entry).items() if key != "files"},
+        "presets": list(entry.presets),
         "files": len(entry.files),
         "bytes": entry.bytes,
         "has_unknown_sizes": any(file.bytes is None for file in entry.files),

@@ -12,11 +12,10 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from rlbench.cli import arguments, options, training_clips, training_options
+from rlbench.cli import arguments, options, training_clips, training_options, training_queue
 from rlbench.cli.arguments import Budgets
 from rlbench.cli.plugins import load_plugins
 from rlbench.cli.verbosity import note
-from rlbench.errors import OptionError
 
 if TYPE_CHECKING:
     from rlbench.training.config import TrainingConfig
@@ -26,6 +25,7 @@ __all__ = ["lr_find", "replay", "train", "training_config", "training_runs"]
 
 
 def train(
+    context: typer.Context,
     methods: options.Methods = None,
     plugin: options.Plugins = None,
     frames: training_options.TrainFrames = None,
@@ -35,6 +35,8 @@ def train(
     bf16: training_options.Bf16 = False,
     max_grad_norm: training_options.MaxGradNorm = 1.0,
     seed: training_options.Seed = 0,
+    eval_interval: training_options.EvalInterval = 1000,
+    start: training_options.Start = None,
     minutes: training_options.Minutes = None,
     restart: Annotated[
         bool,
@@ -55,14 +57,17 @@ def train(
     holdout: training_options.Holdout = None,
     device: options.Device = "auto",
     out: training_options.RunsFolder = Path("runs"),
+    queue: training_options.Queue = None,
+    status: training_options.Status = False,
+    pause: training_options.Pause = None,
 ) -> None:
     """Train methods, or resume their training.
 
     The clips are generated scenes, none of which belongs to a test set; missing ones are rendered
     first. With --clips, they are your own, alone or mixed with those of --preset. With --holdout,
     they are all test scenes of a preset except one, as in the papers. With --quick, they are
-    procedural and there at once, and the run lies in NAME-quick. docs/how-to/train-a-method.md
-    describes the training.
+    procedural and there at once, and the run lies in NAME-quick. With --queue, a file lists many
+    trainings. docs/how-to/train-a-method.md describes the training.
 
     Examples:
 
@@ -74,21 +79,34 @@ def train(
       rlbench train -m ours --clips my_clips/ --preset train --mix 0.7
       rlbench train -m ours --clips 'shots/*' --validate development,mine=held_out/ --keep best
       rlbench train -m ntas --holdout hall --preset standard
+      rlbench train -m ours/paper --start ours/paper-A2 --frames 20000
+      rlbench train --queue campaign.toml --out runs/campaign
+      rlbench train --queue campaign.toml --out runs/campaign --status
     """
+    if training_queue.has_options(context):
+        training_queue.run_command(context)
+        return
     load_plugins(plugin)
-    names = _trainable(methods or ["all"])  # before torch
+    names = arguments.trainable_methods(methods or ["all"])  # before torch
     from rlbench.parallel.time_limit import TimeLimit, TimeLimitedExecutor
     from rlbench.system.disk import check_writable
     from rlbench.training import dataset
     from rlbench.training.logger import tensorboard_hint
+    from rlbench.training.run_folder import QUICK, find_weights
     from rlbench.training.runs import archive_run
 
     check_writable(out)
     limit = TimeLimit(math.inf if minutes is None else minutes)
     default = training_options.QUICK_FRAMES if quick else training_options.DEFAULT_FRAMES
     config = training_config(frames or default, batch, crop, seed, max_grad_norm, bf16, train_spp)
-    config = replace(config, mix=training_clips.mix_share(mix, preset, seeds, clips), keep=keep)
+    config = replace(
+        config,
+        mix=training_clips.mix_share(mix, preset, seeds, clips),
+        keep=keep,
+        eval_interval=eval_interval,
+    )
     runs = training_runs(out, config, device, minutes, allow_config_change)
+    runs = replace(runs, suffix=QUICK if quick else "", start=find_weights(start, out))
     runs.check(names)
     if quick:
         training_clips.refuse_other_clips(preset, seeds, holdout, clips, validate)
@@ -98,14 +116,12 @@ def train(
             training_clips.announce_rendering(preset, seeds, clips)
         chosen = (preset, seeds, holdout, clips, validate)
         split = training_clips.select_split(names, *chosen, TimeLimitedExecutor(limit))
-    if split.remark:
-        note(split.remark)
+    for text in filter(None, (split.remark, tensorboard_hint())):
+        note(text)
     if clips or validate:
         runs.check_clips(names, split)
         note(split.summary)
-    runs = replace(runs, minutes=limit.minutes_left, suffix="-quick" if quick else "")
-    if hint := tensorboard_hint():
-        note(hint)
+    runs = replace(runs, minutes=limit.minutes_left)
     for name in names:
         folder = runs.folder(name, holdout)
         if restart and (archived := archive_run(folder)):
@@ -144,7 +160,7 @@ def lr_find(
       rlbench lr-find -m mine --plugin mine.py --frames 1200
     """
     load_plugins(plugin)
-    names = _trainable(arguments.require_methods(methods))  # before torch
+    names = arguments.trainable_methods(arguments.require_methods(methods))  # before torch
     from rlbench.system.disk import check_writable
 
     check_writable(out)
@@ -234,29 +250,6 @@ def training_runs(
         allow_config_change,
         console.training,
     )
-
-
-def _trainable(patterns: list[str]) -> list[str]:
-    """The selected methods that can be trained; reports the others.
-
-    Raises OptionError for a method with published weights that is selected by its name, and where
-    no selected method can be trained.
-    """
-    from rlbench import registry
-
-    names = arguments.expand_methods(patterns, pretrained_only=False)
-    trainable = [name for name in names if registry.is_trainable(name)]
-    by_name = arguments.split_names(patterns)
-    for name in names:
-        reason = registry.untrainable_reason(name)
-        if name in by_name and registry.get_variant(name).trained_by:
-            raise OptionError(f"{name} {reason}")
-        if reason and trainable:
-            note(f"{name} {reason}")
-    if not trainable:
-        reasons = ", ".join(f"{name} {registry.untrainable_reason(name)}" for name in names)
-        raise OptionError(f"nothing to train: {reasons}")
-    return trainable
 
 
 def _reproducing_command(words: list[str]) -> str:

@@ -11,7 +11,7 @@ from rlbench.cli import arguments, options
 from rlbench.cli.arguments import Budgets
 from rlbench.cli.completion import complete_names
 
-TRAINING = "Training"  # title of a group of options
+TRAINING, QUEUE = "Training", "Queue"  # titles of groups of options
 
 DEFAULT_FRAMES, DEFAULT_CROP = 12_000, 128  # those of TrainingConfig
 QUICK_FRAMES = 600
@@ -69,13 +69,56 @@ MaxGradNorm = Annotated[
 Seed = Annotated[
     int, typer.Option(help="of weights, sequences and budgets", rich_help_panel=TRAINING)
 ]
+EvalInterval = Annotated[
+    int,
+    typer.Option(
+        min=1,
+        metavar="FRAMES",
+        help="crops between two validations, each of which writes a checkpoint",
+        rich_help_panel=TRAINING,
+    ),
+]
+Start = Annotated[
+    str | None,
+    typer.Option(
+        metavar="FILE|RUN",
+        help="first weights of new runs: a weights file, or a finished run in --out such as "
+        "ours/A2; tensors of equal name and shape are taken",
+        rich_help_panel=TRAINING,
+    ),
+]
+Queue = Annotated[
+    Path | None,
+    typer.Option(
+        metavar="FILE",
+        exists=True,
+        dir_okay=False,
+        help="run the trainings that a TOML file lists, on free processors; the same command "
+        "resumes them",
+        rich_help_panel=QUEUE,
+    ),
+]
+Status = Annotated[
+    bool,
+    typer.Option(
+        "--status", help="show how far the trainings of --queue are", rich_help_panel=QUEUE
+    ),
+]
+Pause = Annotated[
+    bool | None,
+    typer.Option(
+        "--pause/--unpause",
+        help="stop the processes of the queue that runs in --out, or let them continue",
+        rich_help_panel=QUEUE,
+    ),
+]
 Minutes = Annotated[
     float | None,
     typer.Option(
         parser=arguments.parse_positive,
         metavar="MINUTES",
-        help="stop each training after this time, rendering of clips included; the same command "
-        "resumes it",
+        help="stop each training after this time, rendering of clips included, and a queue as a "
+        "whole; the same command resumes it",
         rich_help_panel=TRAINING,
     ),
 ]

@@ -17,12 +17,11 @@ from typing import Any
 
 from rlbench.system import paths
 from rlbench.training.progress import Progress
+from rlbench.training.run_folder import LOG, STATUS
 from rlbench.training.validation import ValidationResult
 
-__all__ = ["LOG", "STATUS", "TrainingLogger", "tensorboard_hint"]
+__all__ = ["TrainingLogger", "tensorboard_hint"]
 
-LOG = "log.jsonl"  # one line per validation
-STATUS = "status.json"  # the present state
 FOLDER = "tensorboard"
 CURVES = ("validation PSNR", "validation PSNR of first frames")  # of each set, in TensorBoard
 PREVIEW_GAMMA = 1 / 2.2  # previews are for viewing only, not for measuring

@@ -7,7 +7,7 @@ import math
 import time
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import closing
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -20,15 +20,15 @@ from rlbench.training.batches import Batches, prefetch, sequence_budget
 from rlbench.training.config import TrainingConfig
 from rlbench.training.logger import TrainingLogger
 from rlbench.training.progress import Progress, combine_digests, describe_changes
+from rlbench.training.run_folder import CHECKPOINT, weights_path
 from rlbench.training.task import TrainingError, TrainingTask
 from rlbench.training.train_state import NonFiniteStepError, TrainState
-from rlbench.training.trained_weights import frames_in_weights, save_weights, weights_path
+from rlbench.training.trained_weights import frames_in_weights, save_weights, start_from
 
 __all__ = ["TrainingResult", "check_budgets", "train"]
 
 _logger = logging.getLogger(__name__)
 
-CHECKPOINT = "checkpoint.safetensors"
 STATUS_SECONDS = 10.0  # between two writings of the status
 
 
@@ -52,12 +52,14 @@ def train(
     allow_config_change: bool = False,
     remark: str = "",
     mixed_in: Sequence[Path] = (),
+    start: Path | None = None,
 ) -> TrainingResult:
     """Train a method on clip folders, and write its weights and model card to `out`.
 
     `validation_clips` may be several sets by name, each with a curve of its own. The share
     `config.mix` of the crops is from `mixed_in`. Budgets are limited to the stored samples of a
-    clip; a warning and the card say for which clips.
+    clip; a warning and the card say for which clips. A new run starts from the tensors of the
+    weights file `start` that fit; the card's `origin` names it.
 
     While it runs, `out` gets checkpoint.safetensors, log.jsonl, status.json and, if TensorBoard is
     installed, its event files; after `config.frames` frames, or after `minutes`, NAME.safetensors
@@ -79,14 +81,14 @@ def train(
     sets = _name_sets(validation_clips)
     _check_kept_set(config, sets)
     keep_freed_memory()
-    task: TrainingTask = registry.training_task(method, device, config.seed)
+    task = _make_task(method, device, config.seed, start)
     state = TrainState(task, config, device)
     batches = Batches.from_config(train_clips, config, task.method.traits, device, mixed_in)
     limits = _check_clips(method, batches, sets, config.spp or task.spp)
     described = {name: _describe(clips, batches.pool) for name, clips in sets.items()}
     requested = {"method": method, **config.to_dict(), "data": batches.clip_digests()}
-    if config.keeps_best:
-        requested["validation"] = described
+    requested |= {"validation": described} if config.keeps_best else {}
+    requested |= {"start": task.origin} if start else {}
     progress = _start_or_resume(state, out / CHECKPOINT, requested, allow_config_change)
     result = TrainingResult(weights_path(method, out), progress)
     if config.frames <= progress.frames_seen == frames_in_weights(result.weights):
@@ -124,6 +126,16 @@ def check_budgets(method: str, config: TrainingConfig) -> None:
     for spp in config.spp:
         if reason := traits.unsupported_reason(spp):
             raise TrainingError(f"'{method}' cannot be trained at {spp:g} spp: {reason}")
+
+
+def _make_task(method: str, device: str, seed: int, start: Path | None) -> TrainingTask:
+    """The task of a method, whose networks have the weights of the file `start` where they fit."""
+    task: TrainingTask = registry.training_task(method, device, seed)
+    if start is None:
+        return task
+    origin, line = start_from(task.networks, start)
+    _logger.warning("%s: %s", method, line)
+    return replace(task, origin="; others: ".join(filter(None, (origin, task.origin))))
 
 
 def _name_sets(

@@ -16,6 +16,7 @@ from rlbench.training.dataset import TrainingSplit
 from rlbench.training.loop import check_budgets, train
 from rlbench.training.lr_range_test import LrRangeResult
 from rlbench.training.progress import Progress
+from rlbench.training.run_folder import run_folder
 
 __all__ = ["TrainingRuns", "archive_run"]
 
@@ -41,18 +42,11 @@ class TrainingRuns:
     allow_config_change: bool = False  # resume checkpoints that have a different config
     progress_bar: ProgressBar = hidden_progress
     suffix: str = ""  # of the folders of all runs
+    start: Path | None = None  # weights file from which new runs start
 
     def folder(self, method: str, held_out_scene: str | None = None) -> Path:
-        """The folder of a run; one for each combination of method, held-out scene and budgets.
-
-        >>> runs = TrainingRuns(Path("runs"), TrainingConfig(spp=(0.5, 4.0)))
-        >>> runs.folder("ours/A1", held_out_scene="hall").as_posix()
-        'runs/ours-A1-without-hall-0.5+4spp'
-        """
-        fold = f"-without-{held_out_scene}" if held_out_scene else ""
-        budgets = "+".join(f"{spp:g}" for spp in self.config.spp)
-        budgets = f"-{budgets}spp" if budgets else ""
-        return self.out / (method.replace("/", "-") + fold + budgets + self.suffix)
+        """The folder of a run, as `run_folder` names it."""
+        return run_folder(self.out, method, held_out_scene, self.config.spp, self.suffix)
 
     def check(self, methods: Sequence[str]) -> None:
         """Raise TrainingError if one of the methods does not support a training budget."""
@@ -91,6 +85,7 @@ class TrainingRuns:
                 self.allow_config_change,
                 split.remark,
                 split.mixed_in,
+                self.start,
             )
         return result.weights
 

@@ -1,4 +1,4 @@
-"""The result of a training run: a weights file and its model card."""
+"""The weights that a training run starts from, and those that it writes with their card."""
 
 from __future__ import annotations
 
@@ -8,26 +8,19 @@ from collections.abc import Mapping
 from pathlib import Path
 
 import torch
+from safetensors.torch import load_file
+from torch import nn
 
 from rlbench import weights
 from rlbench.method import config_json
 from rlbench.system import provenance
 from rlbench.training.progress import Progress, combine_digests
+from rlbench.training.task import TrainingError
 from rlbench.training.train_state import TrainState
 
-__all__ = ["frames_in_weights", "save_weights", "weights_path"]
+__all__ = ["frames_in_weights", "save_weights", "start_from"]
 
 MAX_DIGESTS = 32  # clips whose digests a card lists; more have one together
-
-
-def weights_path(method: str, out: Path) -> Path:
-    """The weights file that a run of `method` writes to the folder `out`.
-
-    >>> weights_path("ours/A1", Path("runs/ours-A1")).as_posix()
-    'runs/ours-A1/A1.safetensors'
-    """
-    family, _, variant = method.partition("/")
-    return out / f"{variant or family}.safetensors"
 
 
 def frames_in_weights(file: Path) -> int | None:
@@ -40,6 +33,31 @@ def frames_in_weights(file: Path) -> int | None:
     except weights.WeightsError:
         return None
     return card.frames_seen if weights.digest(file) == card.sha256 else None
+
+
+def start_from(networks: nn.Module, file: Path) -> tuple[str, str]:
+    """Copy the tensors of a weights file that have the name and shape of one of the networks.
+
+    The others keep their values. Returns the origin for the model card (method, frames, hash and
+    number of tensors), and a line that lists the tensors. Raises WeightsError without a file and
+    its card, and TrainingError if no tensor fits.
+    """
+    card, stored, initial = weights.read_card(file), load_file(file), networks.state_dict()
+    taken = [
+        name for name, t in stored.items() if name in initial and t.shape == initial[name].shape
+    ]
+    if not taken:
+        raise TrainingError(
+            f"no tensor of {file} ({card.name}) has the name and shape of one to train. Choose "
+            "weights of a method with the same networks"
+        )
+    networks.load_state_dict({name: stored[name] for name in taken}, strict=False)
+    origin = f"{card.name} after {card.frames_seen} frames, {weights.digest(file)[:12]}"
+    count = f"{len(taken)} of {len(initial)} tensors"
+    line = f"{count} from {file}: {', '.join(taken)}"
+    if fresh := sorted(initial.keys() - set(taken)):
+        line += f"; initial values: {', '.join(fresh)}"
+    return f"{origin} ({count})", line
 
 
 def save_weights(

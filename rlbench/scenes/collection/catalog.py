@@ -8,6 +8,7 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 
 from rlbench.registry.near_names import unknown_name
+from rlbench.render.presets import PRESETS
 from rlbench.render.scene import SceneError
 from rlbench.scenes.collection.pins import SCENE_FILE, Pin, PinnedFile, read_pin
 from rlbench.system import documents, paths
@@ -50,11 +51,19 @@ class CollectionScene:
     author: str
     licence: str  # a key of LICENCES, or words
     source: str  # address of the original
-    preset: str = ""  # that uses it
     repository: str  # OWNER/REPOSITORY on GitHub
     commit: str  # 40 hex digits
     folder: str  # in the repository
     files: tuple[PinnedFile, ...] = ()  # empty: not pinned
+
+    @property
+    def presets(self) -> tuple[str, ...]:
+        """The presets whose clips show it."""
+        return tuple(
+            preset.name
+            for preset in PRESETS.values()
+            if any(self.name in (clip, clip.rpartition("-")[0]) for clip in preset.scenes)
+        )
 
     @property
     def bytes(self) -> int:
@@ -79,7 +88,6 @@ class _Listed:
     author: str
     licence: str
     source: str
-    preset: str = ""
     repository: str = ""
     commit: str = ""
     folder: str = ""
