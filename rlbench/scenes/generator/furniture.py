@@ -30,6 +30,7 @@ from rlbench.scenes.parts.shape import (
 BODIES = ("wood", "wood", "lacquer", "lacquer", "paint", "metal", "steel")
 ORNAMENTS = ("lacquer", "lacquer", "paint", "metal", "steel", "glass", "wood", "mirror")
 LAMP_BODIES = ("metal", "steel", "lacquer")
+SHADES = ("shade", "paint", "paint", "lacquer", "metal")
 GAP = 0.002  # metres between an ornament and what it stands on
 
 
@@ -250,7 +251,7 @@ def build_floor_lamp(rng: Generator, is_uplight: bool) -> list[Piece]:
     pieces = [finish_piece(rng, str(rng.choice(LAMP_BODIES)), pole)]
     if not is_uplight:
         return pieces + move(build_shade(rng, rng.uniform(0.14, 0.22)), [0, 0, height])
-    radius = rng.uniform(0.14, 0.24)
+    radius = rng.uniform(0.18, 0.32)
     bowl = lathe([(0.02, height), (0.75 * radius, height + 0.05), (radius, height + 0.16)])
     pieces.append(finish_piece(rng, str(rng.choice(LAMP_BODIES)), bowl))
     return [*pieces, Piece("glow", disc(0.7 * radius, height + 0.1, 16))]
@@ -259,11 +260,11 @@ def build_floor_lamp(rng: Generator, is_uplight: bool) -> list[Piece]:
 def build_shade(rng: Generator, radius: float) -> list[Piece]:
     """A bulb of 3 to 7 cm in an open shade above the origin, or a bare globe."""
     tall, taper = radius * rng.uniform(0.9, 1.5), rng.uniform(0.6, 1)
-    if rng.random() < 0.3:
+    if rng.random() < 0.5:
         return [Piece("bulb", transform(icosphere(2), [0, 0, 0.6 * radius], scale=0.6 * radius))]
     cone = lathe([(radius, 0), (taper * radius, tall)], 24)
     bulb = transform(icosphere(1), [0, 0, 0.2 * tall], scale=float(rng.uniform(0.03, 0.07)))
-    finish = "shade" if rng.random() < 0.3 else str(rng.choice(LAMP_BODIES))
+    finish = str(rng.choice(SHADES))
     return [finish_piece(rng, finish, cone), Piece("bulb", bulb)]
 
 

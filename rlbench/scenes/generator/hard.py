@@ -34,11 +34,11 @@ __all__ = ["LEVELS", "MOVES", "TONES", "hard_scene"]
 TONES = {"bright": 0.6, "medium": 0.45, "dark": 0.27}  # mean albedo, for the exposure
 MOVES = ("walk", "walk", "walk", "dolly", "orbit", "orbit", "pan", "still")
 MOTIONS = ("nothing moves", "nothing moves", "objects move", "objects move")
-LEVELS = ("0.05", "0.08", "0.12", "0.18", "0.26", "0.36")  # mean linear display value
+LEVELS = ("0.05", "0.07", "0.1", "0.15", "0.22", "0.3")  # mean linear display value
 # fitted to renderings: mean display value over that of an integrating sphere with all flux
-GAINS = {"cove": 0.35, "uplight": 0.28, "ajar": 0.12, "bulbs": 0.55, "spots": 0.25}
-DAYLIGHT_GAINS = {"sky": 0.55, "sun": 0.9, "panel": 0.6, "mixed": 0.75}
-CURTAIN_GAIN = 0.5
+GAINS = {"cove": 0.38, "uplight": 0.45, "ajar": 0.11, "bulbs": 0.5, "spots": 0.42}
+DAYLIGHT_GAINS = {"sky": 0.75, "sun": 0.85, "panel": 0.6, "mixed": 0.8}
+CURTAIN_GAIN = 0.65
 
 
 def hard_scene(seed: int) -> Scene:
@@ -98,7 +98,7 @@ def _draw_lamps(rng: Generator, parts: dict[str, Shape], light: str) -> list[Mes
     for name in names:
         white = draw_white(rng) if name == "panel" else np.array([1, rng.uniform(0.6, 1), 0.5])
         lamp = emissive_mesh(name, parts.pop(name), rgb_texture(white))
-        share = rng.uniform(0.1, 0.5) if name == "bulb" and len(names) > 1 else 1.0
+        share = rng.uniform(0.2, 0.8) if name == "bulb" and len(names) > 1 else 1.0
         power = 100 * share / emitted_flux(lamp)
         lamps.append(
             replace(lamp, emission={"type": "area", "radiance": rgb_texture(power * white)})

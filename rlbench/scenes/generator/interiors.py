@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from numpy.random import Generator
@@ -32,10 +33,13 @@ from rlbench.scenes.parts.primitives import boxes, cylinder, disc, icosphere, la
 from rlbench.scenes.parts.shape import Float64Array, Shape, transform, yaw_matrix
 from rlbench.scenes.parts.sheets import sheet
 
-LIGHTS = ("cove", "uplight", "ajar", "sky", "sun", "panel", "bulbs", "spots", "mixed")
+LIGHTS = ("cove", "uplight", "ajar", "sky", "sun", "panel", "panel", "bulbs", "spots", "mixed")
 DAYLIGHTS = ("sky", "sun", "panel", "mixed")
 TREATMENTS = ("bare", "blinds", "blinds", "curtains", "mullions", "panes")
+WALL_ITEMS = (build_cabinet, build_sofa, build_plant, build_table)
+TALL_ITEMS = (build_shelf, build_shelf, build_divider)
 DOOR_WIDTH, DOOR_HEIGHT = 0.9, 2.05  # metres
+RUG_TOP = 0.014  # metres, a little above the rug
 NEXT_ROOM = (3.0, 2.6)  # metres, width and depth of the room behind a door
 
 
@@ -59,24 +63,39 @@ class Interior:
         return move(flat, [0, 0, 0], yaw_matrix(wall * np.pi / 2))
 
 
+class FloorPlan(NamedTuple):
+    """Discs of the floor that are taken, and the camera path, from which furniture keeps away."""
+
+    track: CameraTrack
+    discs: list[Disc]
+
+    def claim(self, item: Sequence[Piece], spot: Float64Array, clearance: float) -> bool:
+        """Take the disc that an item would cover about `spot` [2]; False if it is not free."""
+        low, high = _bounds(item)
+        radius = 0.47 * float(np.hypot(*(high - low)[:2]))
+        if is_blocked(spot, radius, self.discs, self.track, clearance):
+            return False
+        self.discs.append((float(spot[0]), float(spot[1]), radius))
+        return True
+
+
 def draw_interior(rng: Generator, light: str, treatment: str) -> Interior:
     """A room with windows, doors and built-in lamps for one of LIGHTS and one of TREATMENTS."""
     half_size, height = (rng.uniform(1.7, 3.0), rng.uniform(2.2, 3.8)), rng.uniform(2.35, 3.1)
-    thickness, walls = rng.uniform(0.12, 0.5), rng.permutation(4)
+    thickness, walls = rng.uniform(0.12, 0.5), [int(k) for k in rng.permutation(4)]
     openings: Openings = {}
     if light in DAYLIGHTS:
         for k in walls[: 2 if light == "sky" else int(rng.integers(1, 3))]:
             length = 2 * half_size[k % 2] - 0.5
-            openings[int(k)] = opening_row(rng, length, rng.uniform(0.8, 1.7), 0.4, height)
+            openings[k] = opening_row(rng, length, rng.uniform(0.8, 1.7), 0.4, height)
     if light == "ajar":
         x = rng.uniform(-0.6, 0.6)
         door = Opening(x - DOOR_WIDTH / 2, x + DOOR_WIDTH / 2, 0.01, DOOR_HEIGHT)
-        openings[int(walls[0])] = [door]
+        openings[walls[0]] = [door]
     shell, apertures = build_walls(half_size, height, thickness, openings, has_roof=True)
-    bounds = (half_size[0] - 0.4, half_size[1] - 0.4)
     place = Place(
         half_size,
-        bounds,
+        (half_size[0] - 0.4, half_size[1] - 0.4),
         (0.95, 1.7),
         (0.5, 1.2),
         height,
@@ -88,55 +107,47 @@ def draw_interior(rng: Generator, light: str, treatment: str) -> Interior:
         object_scale=0.5,
     )
     interior = Interior(place, openings, [Piece(*part) for part in shell.items()])
-    fixtures = interior.fixtures
     for wall, row in openings.items():
         for opening in row:
-            if light == "ajar":
-                fitting = _build_next_room(rng, opening, thickness, height)
-            else:
-                sealed = treatment == "panes" and light == "sun"  # glass would stop the sun
-                fitting = _build_treatment(
-                    rng, opening, thickness, "mullions" if sealed else treatment
-                )
-                fitting += [_build_panel(opening, thickness)] * (light in ("panel", "mixed"))
-            fixtures.extend(interior.hang(wall, fitting))
+            fitting = _fit_opening(rng, opening, thickness, height, light, treatment)
+            interior.fixtures.extend(interior.hang(wall, fitting))
     if light in ("sky", "sun"):
-        fixtures.append(finish_piece(rng, "paint", boxes([-60, -60, -1.0], [60, 60, -0.5])))
-    if light == "cove":
-        for wall in walls[: int(rng.integers(2, 4))]:
-            trough = _build_trough(rng, 2 * half_size[wall % 2] - 0.7, height)
-            fixtures.extend(interior.hang(int(wall), trough))
-    if light == "spots":
-        fixtures.extend(_build_spots(rng, half_size, height))
+        ground = finish_piece(rng, "paint", boxes([-60, -60, -1.0], [60, 60, -0.5]))
+        interior.fixtures.append(ground)
+    interior.fixtures.extend(_build_fixed_lamps(rng, interior, walls, light))
     return interior
 
 
 def furnish(
-    rng: Generator,
-    interior: Interior,
-    track: CameraTrack,
-    occupied: Sequence[Disc],
-    light: str,
+    rng: Generator, interior: Interior, track: CameraTrack, occupied: Sequence[Disc], light: str
 ) -> dict[str, list[Shape]]:
     """Shapes of the fixtures and of furniture along the walls and in the middle, by finish.
 
     Furniture is clear of the camera, of occupied discs and of each other.
     """
-    place = interior.place
-    pieces, discs = list(interior.fixtures), list(occupied)
     is_shielded = light in ("cove", "uplight", "ajar")
-    has_bulbs = light in ("bulbs", "mixed") or (is_shielded and rng.random() < 0.5)
-    lamps = 3 * (light == "uplight") + 2 * (light == "bulbs")
+    has_bulbs = light in ("bulbs", "mixed") or (is_shielded and rng.random() < 0.6)
+    plan = FloorPlan(track, list(occupied))
+    pieces = [
+        *interior.fixtures,
+        *_line_walls(rng, interior, plan, light, has_bulbs),
+        *_furnish_middle(rng, interior.place, plan, has_bulbs),
+    ]
+    for wall in set(range(4)) - set(interior.openings):
+        length = 2 * interior.place.half_size[wall % 2] - 0.4
+        pieces += interior.hang(wall, _hang_pictures(rng, length))
+    shapes: dict[str, list[Shape]] = {}
+    for finish, shape in pieces:
+        shapes.setdefault(finish, []).append(shape)
+    return shapes
 
-    def stand(item: list[Piece], spot: Float64Array, clearance: float) -> bool:
-        """Add an item that is centred on its spot, if that is free."""
-        low, high = _bounds(item)
-        radius = 0.47 * float(np.hypot(*(high - low)[:2]))
-        if is_blocked(spot, radius, discs, track, clearance):
-            return False
-        discs.append((float(spot[0]), float(spot[1]), radius))
-        return True
 
+def _line_walls(
+    rng: Generator, interior: Interior, plan: FloorPlan, light: str, has_bulbs: bool
+) -> list[Piece]:
+    """Furniture along walls without doors, lamps first; nothing tall stands before a window."""
+    pieces: list[Piece] = []
+    lamps = {"uplight": 3, "bulbs": 2, "mixed": 1}.get(light, 0)
     for attempt in range(60):
         wall = int(rng.integers(4))
         if lamps > 0 and has_bulbs and attempt % 2:
@@ -144,36 +155,22 @@ def furnish(
         elif lamps > 0:
             item = build_floor_lamp(rng, is_uplight=light == "uplight")
         else:
-            low_items = (build_cabinet, build_sofa, build_plant, build_table)
-            tall = () if wall in interior.openings else (build_shelf, build_shelf, build_divider)
-            item = (*low_items, *tall)[rng.integers(len(low_items + tall))](rng)
+            builders = WALL_ITEMS if wall in interior.openings else WALL_ITEMS + TALL_ITEMS
+            item = builders[rng.integers(len(builders))](rng)
         low, high = _bounds(item)
-        reach = place.half_size[wall % 2] - (high - low)[0] / 2 - 0.1
+        reach = interior.place.half_size[wall % 2] - (high - low)[0] / 2 - 0.1
         along = rng.uniform(-reach, reach) if reach > 0 else 0.0
         if any(one.low < 0.1 for one in interior.openings.get(wall, [])):
             continue
         item = move(item, [-(low + high)[0] / 2, -high[1] - 0.03, 0])
         moved = interior.hang(wall, item, along)
-        middle = np.mean(_bounds(moved), 0)[:2]
-        if stand(item, middle, 0.4):
+        if plan.claim(item, np.mean(_bounds(moved), 0)[:2], 0.4):
             pieces += moved
             lamps -= 1
-    pieces += _furnish_middle(rng, place, track, stand, has_bulbs)
-    for wall in set(range(4)) - set(interior.openings):
-        pieces += interior.hang(wall, _hang_pictures(rng, 2 * place.half_size[wall % 2] - 0.4))
-    shapes: dict[str, list[Shape]] = {}
-    for finish, shape in pieces:
-        shapes.setdefault(finish, []).append(shape)
-    return shapes
+    return pieces
 
 
-def _furnish_middle(
-    rng: Generator,
-    place: Place,
-    track: CameraTrack,
-    stand: Callable[[list[Piece], Float64Array, float], bool],
-    has_bulbs: bool,
-) -> list[Piece]:
+def _furnish_middle(rng: Generator, place: Place, plan: FloorPlan, has_bulbs: bool) -> list[Piece]:
     """Tables with chairs near the focus, perhaps under a lamp, a rug, and things on the floor."""
     pieces: list[Piece] = []
     bounds = np.array(place.half_size) - 0.7
@@ -182,12 +179,12 @@ def _furnish_middle(
         flat = boxes(-rug * [1, 1, 0], rug)
         stretched = (flat.vertices[:, :2] / rug[:2] / 2 + 0.5).astype(np.float32)
         pieces.append(Piece("rug", flat._replace(uv=stretched)))
-    floor = 0.014
     groups, things = int(rng.integers(2, 5)), int(rng.integers(3, 9))
     for attempt in range(60):
         turn = yaw_matrix(rng.choice(4) * np.pi / 2 + rng.normal() * 0.15)
-        spot = np.clip(track.focus[:2] + rng.normal(size=2) * 0.8, -bounds, bounds)
-        if attempt < 30 and groups:
+        spot = np.clip(plan.track.focus[:2] + rng.normal(size=2) * 0.8, -bounds, bounds)
+        is_group = attempt < 30 and groups > 0
+        if is_group:
             item, clearance = _build_group(rng), 0.6
         elif things:
             item, clearance = build_ornament(rng, rng.uniform(0.2, 0.6)), 0.5
@@ -195,11 +192,11 @@ def _furnish_middle(
         else:
             break
         item = move(item, [0, 0, 0], turn)
-        if not stand(item, spot, clearance):
+        if not plan.claim(item, spot, clearance):
             continue
-        pieces += move(item, [*spot, floor])
-        groups, things = groups - (attempt < 30), things - (attempt >= 30)
-        if attempt < 30 and has_bulbs:
+        pieces += move(item, [*spot, RUG_TOP])
+        groups, things = groups - is_group, things - (not is_group)
+        if is_group and has_bulbs:
             pieces += move(_build_pendant(rng, place.lamp_height), [*spot, 0])
     return pieces
 
@@ -231,6 +228,32 @@ def _hang_pictures(rng: Generator, length: float) -> list[Piece]:
             pieces += move(build_picture(rng, width, height), spot)
         left += width + rng.uniform(0.1, 0.7)
     return pieces
+
+
+def _fit_opening(
+    rng: Generator, opening: Opening, thickness: float, height: float, light: str, treatment: str
+) -> list[Piece]:
+    """What belongs to an opening: a room behind a door, or the treatment of a window, and a sky."""
+    if light == "ajar":
+        return _build_next_room(rng, opening, thickness, height)
+    if light == "sun" and treatment == "panes":  # glass would stop the sun
+        treatment = "mullions"
+    fitting = _build_treatment(rng, opening, thickness, treatment)
+    return fitting + [_build_panel(opening, thickness)] * (light in ("panel", "mixed"))
+
+
+def _build_fixed_lamps(
+    rng: Generator, interior: Interior, walls: Sequence[int], light: str
+) -> list[Piece]:
+    """Troughs on two or three of the walls, or spots under the ceiling."""
+    height = interior.place.lamp_height
+    if light == "spots":
+        return _build_spots(rng, interior.place.half_size, height)
+    troughs: list[Piece] = []
+    for wall in walls[: int(rng.integers(2, 4))] if light == "cove" else ():
+        trough = _build_trough(rng, 2 * interior.place.half_size[wall % 2] - 0.7, height)
+        troughs += interior.hang(wall, trough)
+    return troughs
 
 
 def _build_panel(opening: Opening, thickness: float) -> Piece:
@@ -327,14 +350,14 @@ def _build_spots(rng: Generator, half_size: tuple[float, float], height: float) 
     """Small lamps in tubes under the ceiling, which light narrow cones."""
     counts = rng.integers(1, 4, 2) + [0, 1]
     rows = [np.linspace(-1, 1, 2 * n + 1)[1::2] * h for n, h in zip(counts, half_size, strict=True)]
-    radius, deep = rng.uniform(0.05, 0.09), rng.uniform(0.03, 0.1)
+    radius, deep = rng.uniform(0.05, 0.09), rng.uniform(0.025, 0.06)
     tube = lathe([(radius, height - deep), (radius, height)], 16)
     face = disc(0.8 * radius, 0.0, 12)
     lamp = face._replace(faces=face.faces[:, ::-1])
     spots = [[float(x), float(y), 0.0] for x in rows[0] for y in rows[1]]
     return [
         *(Piece("bulb", transform(lamp, [x, y, height - 0.015])) for x, y, _ in spots),
-        finish_piece(rng, "steel", *(transform(tube, spot) for spot in spots)),
+        finish_piece(rng, "paint", *(transform(tube, spot) for spot in spots)),
     ]
 
 
