@@ -114,12 +114,12 @@ def ensure_environment(folder: Path, package: str) -> Path:
 
 
 def generation_command(python: Path, room: Room, output: Path) -> list[str]:
-    """The command by which Infinigen generates one room, without the terrain around the house."""
+    """The command by which Infinigen generates one room: no terrain outside, lamps are on."""
     return [
         *(str(python), "-m", "infinigen_examples.generate_indoors"),
         *("--seed", str(room.seed), "--task", "coarse", "--output_folder", str(output)),
         *("-g", "fast_solve.gin", "singleroom.gin"),
-        *("-p", "compose_indoors.terrain_enabled=False"),
+        *("-p", "compose_indoors.terrain_enabled=False", "compose_indoors.lights_off_chance=0"),
         f'restrict_solving.restrict_parent_rooms=["{room.kind}"]',
     ]
 

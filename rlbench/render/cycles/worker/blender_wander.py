@@ -20,7 +20,8 @@ MEDIAN_DEPTH = 1.0  # metres, at least
 DEPTH_SPREAD = 1.6  # the 90th percentile of depth over the 10th, at least
 MAX_MISSES = 0.05  # fraction of rays that meet no surface, in each image
 GRID = 12  # rays along each side of an image
-TRIES = 4000  # places and headings for all paths together
+TRIES = 4000  # places and headings for each path
+CHOICE = 8  # paths of which the one that sees most objects is taken
 PENETRATIONS = 64  # surfaces that a vertical line is followed through
 AROUND = [
     mathutils.Vector(steps).normalized()
@@ -38,29 +39,44 @@ def place_paths(scene: Any, wander: dict[str, Any], start: int) -> dict[str, Any
     """
     chance = random.Random(wander["seed"])
     rejected: collections.Counter[str] = collections.Counter()
-    paths: list[list[list[list[float]]]] = []
     for item in scene.objects:
         item.hide_viewport = item.hide_viewport or item.hide_render  # rays meet what is rendered
     scene.frame_set(start)
     rays = _Rays(scene, wander["fov"])
     boxes = [_box(item) for item in scene.objects if item.type == "MESH" and item.visible_get()]
-    for _ in range(TRIES if boxes else 0):
-        if len(paths) == len(wander["moves"]):
+    paths = []
+    for moves in wander["moves"] if boxes else []:
+        path = _place(rays, [mathutils.Matrix(rows) for rows in moves], boxes, chance, rejected)
+        if path is None:
             break
+        paths.append([[list(row) for row in matrix] for matrix in path])
+    return {"paths": paths, "rejected": dict(rejected.most_common())}
+
+
+def _place(
+    rays: _Rays,
+    moves: list[Any],
+    boxes: list[tuple[Any, Any]],
+    chance: random.Random,
+    rejected: collections.Counter[str],
+) -> list[Any] | None:
+    """Camera-to-world matrices of one path: of several places, where most objects are in view."""
+    found: list[tuple[int, list[Any]]] = []
+    for _ in range(TRIES):
         eye = rays.stand(chance.choice(boxes), chance)
         if eye is None:
             rejected["no floor below a ceiling"] += 1
             continue
-        here = mathutils.Matrix.Translation(eye) @ mathutils.Matrix.Rotation(
-            chance.uniform(-math.pi, math.pi), 4, "Z"
-        )
-        path = [here @ mathutils.Matrix(rows) for rows in wander["moves"][len(paths)]]
+        heading = mathutils.Matrix.Rotation(chance.uniform(-math.pi, math.pi), 4, "Z")
+        path = [mathutils.Matrix.Translation(eye) @ heading @ move for move in moves]
         reason = next(filter(None, map(rays.reason_against, path)), None)
         if reason:
             rejected[reason] += 1
-        else:
-            paths.append([[list(row) for row in matrix] for matrix in path])
-    return {"paths": paths, "rejected": dict(rejected.most_common())}
+            continue
+        found.append((len(rays.objects(path[0])), path))
+        if len(found) == CHOICE:
+            break
+    return max(found, key=lambda pair: pair[0])[1] if found else None
 
 
 class _Rays:
@@ -77,6 +93,15 @@ class _Rays:
         """Distance along a unit direction to the next surface, or None."""
         hit, place, *_ = self.scene.ray_cast(self.graph, origin, direction)
         return (place - origin).length if hit else None
+
+    def objects(self, matrix: Any) -> set[str]:
+        """The names of the objects in view of a camera-to-world matrix."""
+        eye, turn = matrix.to_translation(), matrix.to_3x3()
+        hits = (
+            self.scene.ray_cast(self.graph, eye, (turn @ towards).normalized())
+            for towards in self.film
+        )
+        return {hit[4].name for hit in hits if hit[0]}
 
     def stand(self, box: tuple[Any, Any], chance: random.Random) -> Any | None:
         """Eye height over a floor with a ceiling above, on the vertical through a random point."""
