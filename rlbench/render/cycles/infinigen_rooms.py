@@ -38,7 +38,13 @@ __all__ = [
     "render_room",
 ]
 
-INFINIGEN_VERSION = "1.15.5"  # of PyPI: wheels for Python 3.11, with bpy 4.2
+INFINIGEN = "infinigen==1.15.5"  # of PyPI: wheels for Python 3.11
+REQUIREMENTS = (  # Infinigen's own, but for scikit-image, whose releases below 0.20 have no wheels
+    *("bpy==4.2.0", "coacd", "gin_config>=0.5.0", "imageio<2.32.0", "matplotlib", "networkx"),
+    *("numpy<2", "opencv-python<4.9.0", "pandas", "psutil", "scikit-image<0.23", "scipy"),
+    *("scikit-learn<1.4.0", "shapely<=2.0.5", "tqdm", "trimesh<3.23.0", "OpenEXR", "submitit"),
+    *("geomdl", "python-fcl", "rtree"),
+)
 KINDS = ("LivingRoom", "Kitchen", "Bedroom", "Bathroom", "DiningRoom")
 SIX_ROOMS = "LivingRoom:1,Kitchen:2,Bedroom:3,Bathroom:4,DiningRoom:5,LivingRoom:6"
 LOG_TAIL_LINES = 12  # in error messages
@@ -91,11 +97,12 @@ def parse_rooms(text: str, folder: Path) -> list[Room]:
     return rooms
 
 
-def ensure_environment(folder: Path, package: str) -> Path:
+def ensure_environment(folder: Path, package: str, requirements: Sequence[str] = ()) -> Path:
     """The Python of a virtual environment with `package`, such as `infinigen==1.15.5`.
 
-    It is created in `folder` if it is not there; pip writes to a log beside it. Raises
-    InfinigenError if there is no Python 3.11, or if pip fails.
+    It is created in `folder` if it is not there; pip writes to a log beside it. `requirements`
+    replace those that the package names. Raises InfinigenError if there is no Python 3.11, or if
+    pip fails.
     """
     python = folder / "bin" / "python"
     finished = folder / "installed.txt"
@@ -108,7 +115,11 @@ def ensure_environment(folder: Path, package: str) -> Path:
         )
     log = folder.with_suffix(".log")
     _run([base, "-m", "venv", str(folder)], log, f"creating {folder}")
-    _run([str(python), "-m", "pip", "install", package], log, f"pip install {package}")
+    pip = [str(python), "-m", "pip", "install"]
+    if requirements:
+        _run([*pip, "--only-binary", ":all:", *requirements], log, f"requirements of {package}")
+        pip.append("--no-deps")
+    _run([*pip, package], log, f"pip install {package}")
     finished.write_text(package)
     return python
 
@@ -137,7 +148,10 @@ def generate_room(python: Path, room: Room) -> Path:
         output = (room.folder / "unfinished").absolute()
         shutil.rmtree(output, ignore_errors=True)
         log = room.folder / "generate.log"
-        _run(generation_command(python, room, output), log, f"generating {room.name}", room.folder)
+        command = generation_command(python, room, output)
+        packages = python.parents[1] / "lib" / "python3.11" / "site-packages"
+        # Infinigen's settings include files relative to the folder in which it runs
+        _run(command, log, f"generating {room.name}", packages)
         scene = output / "scene.blend"
         if not scene.is_file():
             raise InfinigenError(f"generating {room.name} wrote no {scene}{_log_tail(log)}")
@@ -163,7 +177,7 @@ def render_room(room: Room, walks: int, frames: int, size: tuple[int, int], spp:
 
 
 def _run(command: Sequence[str], log: Path, task: str, folder: Path | None = None) -> None:
-    """Run a command in `folder`, with its output in `log`. Raises InfinigenError if it fails."""
+    """Run a command, in `folder` if given, with its output in `log`. Raises InfinigenError if it fails."""
     log.parent.mkdir(parents=True, exist_ok=True)
     with log.open("ab") as stream:
         code = subprocess.run(
@@ -213,7 +227,7 @@ def _prepare(folder: Path, rooms: list[Room], renders: bool) -> Path:
     """Create the environments that are needed; returns the Python of Infinigen's."""
     python = folder / "infinigen" / "bin" / "python"
     if not all(room.blend.is_file() for room in rooms):
-        python = ensure_environment(folder / "infinigen", f"infinigen=={INFINIGEN_VERSION}")
+        python = ensure_environment(folder / "infinigen", INFINIGEN, REQUIREMENTS)
     if renders and not process.bpy_version():
         bpy = f"bpy=={process.TESTED_BPY_VERSION}"
         os.environ[process.PYTHON_VARIABLE] = str(ensure_environment(folder / "cycles", bpy))

@@ -19,10 +19,14 @@ def room(tmp_path):
 
 @pytest.fixture
 def python(tmp_path):
-    """Replaces the Python that has infinigen by a script."""
+    """An environment whose Python is a script."""
 
     def install(body):
-        script = tmp_path / "python"
+        environment = tmp_path / "infinigen"
+        (environment / "lib/python3.11/site-packages").mkdir(parents=True, exist_ok=True)
+        (environment / "installed.txt").write_text(infinigen_rooms.INFINIGEN)
+        script = environment / "bin" / "python"
+        script.parent.mkdir(exist_ok=True)
         script.write_text(f"#!/bin/sh\n{body}\n")
         script.chmod(0o755)
         return script
@@ -90,10 +94,7 @@ def test_the_error_of_pip_has_the_end_of_its_log(tmp_path):
 
 
 def test_one_failed_room_does_not_stop_the_others(tmp_path, python, capsys):
-    environment = tmp_path / "infinigen"
-    (environment / "bin").mkdir(parents=True)
-    (environment / "installed.txt").write_text(f"infinigen=={infinigen_rooms.INFINIGEN_VERSION}")
-    python(f'case "$*" in *Kitchen*) exit 1;; esac\n{WRITES}').rename(environment / "bin/python")
+    python(f'case "$*" in *Kitchen*) exit 1;; esac\n{WRITES}')
     with pytest.raises(SystemExit, match="1 of 2 rooms failed: kitchen-1"):
         infinigen_rooms.main([str(tmp_path), "--rooms", "Kitchen:1,Bedroom:2", "--rooms-only"])
     assert (tmp_path / "bedroom-2" / "bedroom-2.blend").is_file()
