@@ -177,7 +177,10 @@ def render_room(room: Room, walks: int, frames: int, size: tuple[int, int], spp:
 
 
 def _run(command: Sequence[str], log: Path, task: str, folder: Path | None = None) -> None:
-    """Run a command, in `folder` if given, with its output in `log`. Raises InfinigenError if it fails."""
+    """Run a command, in `folder` if given, and add its output to `log`.
+
+    Raises InfinigenError, with the end of the log, if it fails.
+    """
     log.parent.mkdir(parents=True, exist_ok=True)
     with log.open("ab") as stream:
         code = subprocess.run(

@@ -84,6 +84,7 @@ def test_an_installed_environment_is_kept(tmp_path):
     assert python == folder / "bin" / "python"
 
 
+@pytest.mark.slow
 def test_the_error_of_pip_has_the_end_of_its_log(tmp_path):
     folder = tmp_path / "environment"
     with pytest.raises(
