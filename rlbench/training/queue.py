@@ -32,6 +32,7 @@ import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field
+from functools import partial
 from pathlib import Path
 from typing import Any, Literal
 
@@ -255,7 +256,6 @@ class Queue:
     def _start(self, training: Training) -> None:
         training.folder.mkdir(parents=True, exist_ok=True)
         command = [sys.executable, "-m", "rlbench", "train", *training.words]
-        parent = os.getpid()
         with training.output.open("ab") as output:
             self._processes[training.name] = subprocess.Popen(
                 command,
@@ -264,7 +264,7 @@ class Queue:
                 stderr=subprocess.STDOUT,
                 env=os.environ | THREADS,
                 start_new_session=True,  # Ctrl-C in a terminal reaches the queue alone
-                preexec_fn=lambda: (_end_with(parent), _use_spare_time()),
+                preexec_fn=partial(_prepare_process, os.getpid()),
             )
         self._set_row(training, "running")
         self.on_event(f"{training.name}: started; its output is in {training.output}")
@@ -394,6 +394,12 @@ def _last_line(file: Path) -> str:
         stream.seek(max(0, file.stat().st_size - 4096))
         lines = stream.read().decode(errors="replace").splitlines()
     return next((line.strip() for line in reversed(lines) if line.strip()), "")
+
+
+def _prepare_process(parent: int) -> None:
+    """Called in a new process before it trains."""
+    _end_with(parent)
+    _use_spare_time()
 
 
 def _end_with(parent: int) -> None:
