@@ -14,6 +14,7 @@ if TYPE_CHECKING:
 
 __all__ = [
     "BIAS",
+    "BLOTCHES",
     "MSE",
     "MSE_DEBIASED",
     "MS_SSIM",
@@ -48,6 +49,12 @@ def _psnr_debiased(frame: Comparison) -> Tensor:
     from metrics.psnr import psnr_debiased
 
     return psnr_debiased(frame.display_image, *frame.truth.display_halves, frame.nonfinite_mask)
+
+
+def _blotches(frame: Comparison) -> Tensor:
+    from metrics.blotches import blotches
+
+    return blotches(frame.display_image, frame.truth.display_band, frame.nonfinite_mask)
 
 
 def _tpsnr(frame: Comparison) -> Tensor:
@@ -153,6 +160,16 @@ PSNR_DEBIASED = Metric(
     _psnr_debiased,
     needs_reference_halves=True,
     source="this project; halves as in mse_debiased",
+)
+BLOTCHES = Metric(
+    "blotches",
+    "%",
+    "lower",
+    "RMS error at wavelengths of 5 to 12 pixels where the reference is smooth, of the range of "
+    "clipped sRGB, without the noise of the half references",
+    _blotches,
+    needs_reference_halves=True,
+    source="this project; halves as in mse_debiased, masking of Teo and Heeger 1994",
 )
 MSE = Metric(
     "mse",

@@ -74,6 +74,13 @@ class GroundTruth:
         return encode_display(self.half_a), encode_display(self.half_b)
 
     @cached_property
+    def display_band(self) -> Any:
+        """The halves at the wavelengths of blotches, a `metrics.blotches.ReferenceBand`."""
+        from metrics.blotches import reference_band
+
+        return reference_band(*self.display_halves)
+
+    @cached_property
     def bounded_mean(self) -> Tensor:
         """The mean in the range of half floats, [n 3 h w] as `bound_radiance` returns it."""
         from metrics.image import bound_radiance

@@ -13,11 +13,12 @@ from reports.analysis.comparability import check_comparable, split_by_device
 from reports.analysis.convention_ranks import (
     OF_RUNS,
     conventions_by_metric,
+    describe_swaps,
     rank_agreement,
     rank_by_convention,
     swaps,
 )
-from reports.analysis.intervals import BOOTSTRAP_SAMPLES, INTERVAL_NOTE
+from reports.analysis.intervals import BOOTSTRAP_SAMPLES
 from reports.layout.page import Section, write_page
 from reports.layout.tables import Bold, Table
 from rlbench.benchmark.results import MissingRowsError
@@ -51,7 +52,7 @@ def write(
             for spp in sorted(set(ranked["target_spp"])):
                 tables.append(_matrix(metric, scores, _at(ranked, spp), spp))
                 tables += _agreement_table(metric, _at(agreement, spp), spp)
-            lists[f"Pairs that swap in {metric}"] = _sentences(swapped)
+            lists[f"Pairs that swap in {metric}"] = describe_swaps(swapped)
             lists |= {f"Conventions of {metric}": _describe(scores)}
             kinds = {"scores": ranked, "tau": agreement, "swap": swapped}
             records += [part.assign(table=kind, metric=metric) for kind, part in kinds.items()]
@@ -101,29 +102,6 @@ def _agreement_table(metric: str, agreement: pd.DataFrame, spp: float) -> list[T
     note = "Kendall's tau-b between the means of two conventions: 1 is the same order."
     title = f"agreement of the order in {metric} at {spp:g} spp"
     return [Table(title, "", ("convention", *columns), cells, note)]
-
-
-def _sentences(swapped: pd.DataFrame) -> list[str]:
-    """A sentence for each swap, resolved ones first; one sentence where there is none."""
-    if swapped.empty:
-        return ["No pair of methods swaps places between any two conventions."]
-    ordered = swapped.sort_values("is_resolved", ascending=False, kind="stable")
-    resolved = int(swapped["is_resolved"].sum())
-    total = f"{len(swapped)} swaps, {resolved} of them resolved: under both conventions the "
-    total += f"{INTERVAL_NOTE} of the paired difference excludes zero."
-    return [total, *map(_sentence, ordered.to_dict("records"))]
-
-
-def _sentence(row: Mapping[Hashable, Any]) -> str:
-    def lead(prefix: str) -> str:
-        gap, low, high = (row[f"{prefix}{name}"] for name in ("gap", "low", "high"))
-        return f"{gap:+.3g} [{low:+.3g}, {high:+.3g}]"
-
-    return (
-        f"{row['target_spp']:g} spp: {row['first']} leads {row['second']} under "
-        f"{row['convention']} by {lead('')} and trails under {row['other']} by {lead('other_')}; "
-        f"{'resolved' if row['is_resolved'] else 'not resolved'}"
-    )
 
 
 def _describe(scores: Mapping[str, Scores]) -> list[str]:

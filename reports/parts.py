@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pandas as pd
 
-from reports.analysis.aggregate import Scores
+from reports.analysis.aggregate import Scores, keep_first_frames
 from reports.analysis.comparability import check_comparable, split_by_device
 from reports.analysis.intervals import BOOTSTRAP_SAMPLES
 from reports.analysis.multiplicity import correct_by_holm, difference_notes
@@ -71,7 +71,7 @@ def write(
 
 def _section(scores: Scores, seed: int, draws: int) -> Section:
     rows = [row for row in PARTS if row in set(scores.measured["method"])]
-    first_frames = Scores(_keep_first_frames(scores.measured), device=scores.device)
+    first_frames = Scores(keep_first_frames(scores.measured), device=scores.device)
     gaps = {
         SAMPLES: differences(scores, BASE, rows, seed, draws),
         TIME: _at_equal_time(scores, rows, seed, draws),
@@ -99,11 +99,6 @@ def _section(scores: Scores, seed: int, draws: int) -> Section:
         "Remarks": scores.remarks,
     }
     return Section(scores.device, tables, records, lists)
-
-
-def _keep_first_frames(rows: pd.DataFrame) -> pd.DataFrame:
-    """The rows of the first frame of each clip."""
-    return rows[rows["frame"] == rows.groupby("clip")["frame"].transform("min")]
 
 
 def _at_equal_time(scores: Scores, rows: list[str], seed: int, draws: int) -> pd.DataFrame:

@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-import math
-from collections.abc import Callable, Hashable, Mapping, Sequence
+from collections.abc import Hashable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -16,16 +15,9 @@ from reports.analysis.intervals import BOOTSTRAP_SAMPLES
 from reports.analysis.multiplicity import correct_by_holm, difference_notes
 from reports.analysis.ranking import ALL_SCENES, rank_methods
 from reports.analysis.time_notes import unreliable_times
-from reports.analysis.verdicts import LEADS, TRAILS, VERDICT_NOTE
 from reports.layout.page import Section, write_page
-from reports.layout.tables import (
-    UNRELIABLE_MARK,
-    UNRELIABLE_MEANING,
-    Bold,
-    Table,
-    format_ms,
-    rank_rows,
-)
+from reports.layout.score_table import score_table
+from reports.layout.tables import UNRELIABLE_MARK, UNRELIABLE_MEANING, Table, format_ms
 
 __all__ = ["write"]
 
@@ -39,13 +31,6 @@ TIME_COLUMNS = {
     "inference_ms": "inference",
     "inference_p95_ms": "inference p95",
 }
-RULES = {"higher": "Higher is better.", "lower": "Lower is better."}
-NOTE = (
-    "Methods are in the order of their scores at the budget nearest to 1 spp that most have. Bold "
-    f"is best at its budget; others are compared with it. {VERDICT_NOTE}"
-)
-DIGITS = 3  # significant ones, of the median of a table without a unit
-MAX_DECIMALS = 6
 MAX_SCENE_TABLES = 8
 
 
@@ -70,7 +55,7 @@ def write(
         ranks = [records[records["metric"] == scores.metric] for scores in metrics]
         overall = [rank[rank["scene"] == ALL_SCENES] for rank in ranks]
         tables = [
-            _score_table(scores, rank, f"{scores.convention}. ")
+            score_table(scores, rank, f"{scores.convention}. ")
             for scores, rank in zip(metrics, overall, strict=True)
             if not _is_constant(rank)
         ]
@@ -93,7 +78,7 @@ def _scene_tables(scores: Scores, rank: pd.DataFrame) -> list[Table]:
     if scores.measured["scene"].nunique() > MAX_SCENE_TABLES:
         return []
     return [
-        _score_table(scores, rows) for scene, rows in rank.groupby("scene") if scene != ALL_SCENES
+        score_table(scores, rows) for scene, rows in rank.groupby("scene") if scene != ALL_SCENES
     ]
 
 
@@ -111,46 +96,6 @@ def _constant_metrics(metrics: Sequence[Scores], ranks: Sequence[pd.DataFrame]) 
         for scores, rank in zip(metrics, ranks, strict=True)
         if _is_constant(rank)
     ]
-
-
-def _score_table(scores: Scores, rank: pd.DataFrame, caption: str = "") -> Table:
-    unit = scores.column_text("unit")
-    number = _number_format(unit, rank["mean"])
-    cells = {
-        (row["method"], row["target_spp"]): _format_score(row, number)
-        for row in rank.to_dict("records")
-    }
-    budgets = sorted(set(rank["target_spp"]))
-    rows = tuple(
-        (method, *(cells.get((method, spp), "-") for spp in budgets))
-        for method in rank_rows(rank, "mean", scores.direction)
-    )
-    scenes = set(rank["scene"]) - {ALL_SCENES}
-    title = f"{scores.metric} [{unit}]" if unit else scores.metric
-    title += f", {scenes.pop() if scenes else 'mean over scenes'}"
-    caption += RULES.get(scores.direction, "Not ranked.")
-    header = ("method", *(f"{spp:g} spp" for spp in budgets))
-    return Table(title, caption, header, rows, NOTE if scores.direction else "")
-
-
-def _format_score(row: Mapping[Hashable, Any], number: Callable[[float], str]) -> str:
-    mean, low, high = (row[name] for name in ("mean", "low", "high"))
-    text = number(mean)
-    if row["best"]:
-        return Bold(text)
-    if low == low:
-        text += f" [{number(low)}, {number(high)}]{row['mark']}"
-    return text if row["verdict"] in ("", LEADS, TRAILS) else f"{text} {row['verdict']}"
-
-
-def _number_format(unit: str, values: pd.Series[float]) -> Callable[[float], str]:
-    """Equal decimals in a table: two of dB and ms, else as many as its median needs."""
-    sizes = values.abs()
-    median = float(sizes[sizes > 0].median())
-    decimals = 2
-    if unit not in ("dB", "ms") and median == median:
-        decimals = min(max(DIGITS - 1 - math.floor(math.log10(median)), 0), MAX_DECIMALS)
-    return lambda value: f"{value:.{decimals}f}"
 
 
 def _by_frame_time(times: pd.DataFrame) -> Sequence[Mapping[Hashable, Any]]:

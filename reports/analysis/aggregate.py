@@ -18,7 +18,7 @@ from rlbench.benchmark.results import (
     NOISE_CEILING,
 )
 
-__all__ = ["FRAME_PARTS", "Scores", "mean_over_scenes", "metrics_with_values"]
+__all__ = ["FRAME_PARTS", "Scores", "keep_first_frames", "mean_over_scenes", "metrics_with_values"]
 
 HEADLINE = ["psnr", "psnr_debiased"]  # metrics that come first
 GROUP = ["method", "scene", "target_spp"]
@@ -35,6 +35,11 @@ def metrics_with_values(rows: pd.DataFrame) -> list[str]:
     scored = rows[rows["value"].notna() & ~is_other & (rows["unit"] != "ms")]
     found = set(scored["metric"])
     return [*(name for name in HEADLINE if name in found), *sorted(found - set(HEADLINE))]
+
+
+def keep_first_frames(rows: pd.DataFrame) -> pd.DataFrame:
+    """The rows of the first frame of each clip, in a table without times."""
+    return rows[rows["frame"] == rows.groupby("clip")["frame"].transform("min")]
 
 
 def mean_over_scenes(per_scene: pd.DataFrame) -> pd.DataFrame:

@@ -1,16 +1,31 @@
-"""Ranks of methods under several conventions of one metric, and which pairs swap places."""
+"""Ranks of methods under several conventions, or on several presets, and pairs that swap places."""
 
 from __future__ import annotations
 
+import math
+from collections.abc import Hashable, Mapping
 from itertools import combinations
+from typing import Any
 
 import pandas as pd
 from scipy import stats
 
 from reports.analysis.aggregate import Scores, mean_over_scenes
-from reports.analysis.intervals import BOOTSTRAP_SAMPLES, mean_with_interval, pair
+from reports.analysis.intervals import (
+    BOOTSTRAP_SAMPLES,
+    INTERVAL_NOTE,
+    mean_with_interval,
+    pair,
+)
 
-__all__ = ["OF_RUNS", "conventions_by_metric", "rank_agreement", "rank_by_convention", "swaps"]
+__all__ = [
+    "OF_RUNS",
+    "conventions_by_metric",
+    "describe_swaps",
+    "rank_agreement",
+    "rank_by_convention",
+    "swaps",
+]
 
 OF_RUNS = "srgb"  # the convention of metrics without @: that of runs
 
@@ -36,8 +51,8 @@ def conventions_by_metric(rows: pd.DataFrame) -> dict[str, dict[str, str]]:
 def rank_by_convention(scores: dict[str, Scores]) -> pd.DataFrame:
     """Columns target_spp, convention, method, mean and rank, 1 for the best; equal means share it.
 
-    `scores` are those of one metric by convention. Methods and budgets that lack a scene or a
-    convention are left out, so that all columns rank the same methods.
+    `scores` are those of one metric by convention, or by preset. Methods and budgets that lack a
+    scene or a convention are left out, so that all columns rank the same methods.
     """
     means = pd.concat(
         [
@@ -64,7 +79,8 @@ def rank_agreement(ranked: pd.DataFrame) -> pd.DataFrame:
     for spp, part in ranked.groupby("target_spp"):
         means = part.pivot_table("mean", "method", "convention")
         for convention, other in combinations(_in_order(part), 2):
-            tau = stats.kendalltau(means[convention], means[other]).statistic
+            both = means[convention], means[other]
+            tau = stats.kendalltau(*both).statistic if len(means) > 1 else math.nan
             names = {"convention": convention, "other": other}
             records.append({"target_spp": spp, **names, "tau": float(tau)})
     return pd.DataFrame(records, columns=["target_spp", "convention", "other", "tau"])
@@ -100,6 +116,31 @@ def swaps(
                 resolved = [record[f"{prefix}excludes_zero"] for prefix in ("", "other_")]
                 records.append({**record, "is_resolved": all(resolved)})
     return pd.DataFrame(records)
+
+
+def describe_swaps(
+    swapped: pd.DataFrame, preposition: str = "under", noun: str = "conventions"
+) -> list[str]:
+    """A sentence for each of `swaps`, resolved ones first; one sentence where there is none."""
+    if swapped.empty:
+        return [f"No pair of methods swaps places between any two {noun}."]
+    ordered = swapped.sort_values("is_resolved", ascending=False, kind="stable")
+    resolved = int(swapped["is_resolved"].sum())
+    total = f"{len(swapped)} swaps, {resolved} of them resolved: {preposition} both {noun} the "
+    total += f"{INTERVAL_NOTE} of the paired difference excludes zero."
+    return [total, *(_describe_swap(row, preposition) for row in ordered.to_dict("records"))]
+
+
+def _describe_swap(row: Mapping[Hashable, Any], preposition: str) -> str:
+    def lead(prefix: str) -> str:
+        gap, low, high = (row[f"{prefix}{name}"] for name in ("gap", "low", "high"))
+        return f"{gap:+.3g} [{low:+.3g}, {high:+.3g}]"
+
+    return (
+        f"{row['target_spp']:g} spp: {row['first']} leads {row['second']} {preposition} "
+        f"{row['convention']} by {lead('')} and trails {preposition} {row['other']} by "
+        f"{lead('other_')}; {'resolved' if row['is_resolved'] else 'not resolved'}"
+    )
 
 
 def _gap(

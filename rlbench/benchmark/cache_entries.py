@@ -12,6 +12,8 @@ from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 
+from rlbench.scenes.collection.catalog import CREDITS, load_catalog
+
 __all__ = ["CacheEntry", "find_entries", "find_unknown", "remove_entry"]
 
 CLIP_FILES = ("*.exr", "rounds.*.txt", "pool.*.txt", "clip.toml", "scene.txt")
@@ -25,6 +27,8 @@ REMADE = {  # kind: what makes it again
     "probes": "the next rendering",
     "contact sheet": "make contact",
     "Blender scenes": "rlbench render-scene",
+    "scenes by others": "rlbench scenes get",
+    "pins of scenes": "rlbench scenes pin",
 }
 
 
@@ -76,6 +80,7 @@ def find_entries(cache: Path) -> list[CacheEntry]:
     entries += [_entry("contact sheet", contact, contact.glob("*.npy"))]
     scenes = [*cycles.glob("*.json"), *cycles.glob("*.log"), *cycles.glob("*/open.log")]
     entries += [_entry("Blender scenes", cycles, scenes)]
+    entries += _collection_entries(cache / "scenes")
     return [entry for entry in entries if entry.files]
 
 
@@ -96,6 +101,16 @@ def remove_entry(entry: CacheEntry, cache: Path) -> None:
         if folder != cache and folder.is_relative_to(cache):
             with suppress(OSError):  # it holds files that are not known
                 folder.rmdir()
+
+
+def _collection_entries(folder: Path) -> Iterator[CacheEntry]:
+    """Downloaded scenes and pins; a link leads to files of the user, which are not the cache's."""
+    yield _entry("pins of scenes", folder / "pins", folder.glob("pins/*.tsv"))
+    for name, scene in load_catalog().items() if folder.is_dir() else ():
+        own = folder / name
+        known = (own / path for path in (*(file.path for file in scene.files), CREDITS))
+        found = () if own.is_symlink() else (path for path in known if path.is_file())
+        yield _entry("scenes by others", own, found)
 
 
 def _depth(folder: Path) -> int:

@@ -27,6 +27,7 @@ from rlbench.cli.new import new
 from rlbench.cli.plugins import check, list_, load_plugins
 from rlbench.cli.regress import regress
 from rlbench.cli.reports import report
+from rlbench.cli.scenes import scenes
 from rlbench.cli.speed import speed
 from rlbench.cli.stress import stress
 from rlbench.cli.submit import submit
@@ -112,6 +113,7 @@ COMMANDS: dict[str, Callable[..., None]] = {
     "render-scene": render_scene,
     "download": download,
     "pack": pack,
+    "scenes": scenes,
     "import": import_,
     "lint": lint,
     "new": new,

@@ -13,6 +13,7 @@ COLUMNS = {  # of the kinds that have more than these, in their order
     "methods": ("name", "question", "inputs", "spp", "adaptive", "weights"),
     "metrics": ("name", "unit", "direction", "convention"),
     "presets": ("name", "height", "width", "frames", "reference_spp", "scenes", "takes", "purpose"),
+    "scenes by others": ("name", "title", "author", "licence", "MB", "state", "presets"),
 }
 FILE_WIDTH = 180  # characters of a line that goes to no terminal
 

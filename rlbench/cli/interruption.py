@@ -30,6 +30,7 @@ KEPT = {  # command: what an interrupted one leaves; None in place of a folder: 
     "run": "finished cells are kept in {out}",
     "evaluate": "finished scores are kept in {out}",
     "download": "complete clips are kept",
+    "scenes": "complete files are kept",
     "pack": "complete archives stay in {out}",
     "video": "complete videos are kept",
 }

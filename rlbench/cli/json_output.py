@@ -27,6 +27,7 @@ __all__ = [
     "ChecksOutput",
     "ReportOutput",
     "RunOutput",
+    "ScenesOutput",
     "as_json_text",
     "print_json",
     "run_output",
@@ -117,6 +118,16 @@ class CacheOutput:
             title = f"{entry['kind']} of {entry['preset']}" if entry["preset"] else entry["kind"]
             groups.setdefault(title, []).append(entry)
         return groups
+
+
+@dataclass(frozen=True)
+class ScenesOutput:
+    """Output of `rlbench scenes --json`: scenes by others, or with get those that were got."""
+
+    scenes: list[dict[str, Any]]
+    # name, title, author, licence, source, preset, repository, commit, folder, files, bytes,
+    # has_unknown_sizes, state, scene, missing
+    failed: dict[str, str] = field(default_factory=dict)  # error by scene
 
 
 def run_output(outcome: RunOutcome) -> RunOutput:

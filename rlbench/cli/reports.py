@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Sequence
+import inspect
+from collections.abc import Callable, Collection, Mapping, Sequence
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
@@ -46,6 +47,14 @@ def report(
             rich_help_panel=options.MEASUREMENT,
         ),
     ] = None,
+    against: Annotated[
+        list[str] | None,
+        typer.Option(
+            metavar="FOLDERS",
+            help="results of other presets a,b, whose order of rows the report real compares",
+            rich_help_panel=options.MEASUREMENT,
+        ),
+    ] = None,
     out: Annotated[
         Path | None,
         typer.Option(
@@ -71,6 +80,7 @@ def report(
       rlbench report table1
       rlbench report ablation --methods 'ours/*'
       rlbench report zooms --methods ours,ntas --spp 4
+      rlbench report real --results results/real --against results,results/unseen
     """
     from rlbench.benchmark.results import read
 
@@ -78,11 +88,12 @@ def report(
     rows = read(results)
     if names := arguments.split_names(methods):
         rows = select_rows(rows, names, results)
+    others = _read_others(name, [Path(folder) for folder in arguments.split_names(against)])
     check_writable(target)
     output = ReportOutput()
     images = partial(_find_images, results, rows, clips, spp)
     for each, has_images in writers.items():
-        write = partial(_write, each, rows, target, has_images and images, names)
+        write = partial(_write, each, rows, target, has_images and images, names, others)
         files = _try_to_write(each, write, output, is_one_of_all=name == "all")
         if not as_json:
             for file in files:
@@ -136,14 +147,45 @@ def _write(
     folder: Path,
     images: Callable[[], ShownClips] | Literal[False],
     methods: Sequence[str],
+    others: Mapping[str, pd.DataFrame],
 ) -> list[Path]:
     """Write one report and return its files; `images` finds those of the results."""
     from rlbench import registry
 
     if images is False:
-        return list(registry.load_or_explain("reports", name)(rows, folder))
+        writer = registry.load_or_explain("reports", name)
+        extra = {"against": others} if others and _takes_against(writer) else {}
+        return list(writer(rows, folder, **extra))
     writer = registry.load_or_explain("image_reports", name)
     return list(writer(rows, folder, images(), methods))
+
+
+def _read_others(name: str, folders: Sequence[Path]) -> dict[str, pd.DataFrame]:
+    """The results of --against by preset, or by folder where it holds several or none.
+
+    Raises OptionError for a report that compares no presets, and for two folders of one preset.
+    """
+    from rlbench import registry
+    from rlbench.benchmark.results import read
+
+    if folders and name != "all" and not _takes_against(registry.load_or_explain("reports", name)):
+        raise OptionError(f"--against: report '{name}' compares no presets. Omit it, or write real")
+    tables: dict[str, pd.DataFrame] = {}
+    for folder in folders:
+        table = read(folder)
+        presets = sorted(set(table["preset"]) - {""})
+        label = presets[0] if len(presets) == 1 else str(folder)
+        if label in tables:
+            raise OptionError(
+                f"--against {folder}: another folder has preset {label} too. Name one"
+            )
+        tables[label] = table
+    return tables
+
+
+def _takes_against(writer: Callable[..., object]) -> bool:
+    """Can the report compare the results with those of other presets?"""
+    return "against" in inspect.signature(writer).parameters
 
 
 def _find_images(

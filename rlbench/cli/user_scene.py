@@ -18,6 +18,12 @@ if TYPE_CHECKING:
 
 __all__ = ["render_clip", "render_scene", "select_tracer"]
 
+PBRT = (
+    "scene file {file}: neither Mitsuba nor Cycles reads pbrt. Convert it to Mitsuba's XML: "
+    "github.com/lahagemann/pbr_scene_converter does so for pbrt-v3, and no converter of pbrt-v4 is "
+    "known to us. Scenes of benedikt-bitterli.me/resources are also offered as Mitsuba files"
+)
+
 
 def render_scene(
     file: Annotated[
@@ -175,6 +181,8 @@ def render_clip(
 
     if select_tracer(scene.file, tracer) == "mitsuba":
         return ensure_user_clip(scene, preset, on_message, executor)
+    if scene.skip_missing:
+        raise OptionError("--skip-missing is for Mitsuba XML files, and Cycles renders this one")
     if executor is not LOCAL:
         raise OptionError(
             "--engine ray cannot render with Cycles, which uses all cores by itself. Omit it"
@@ -190,6 +198,8 @@ def select_tracer(file: Path, tracer: str | None) -> str:
     from rlbench.render.cycles.scene_file import FORMATS
 
     formats = {"mitsuba": (".xml", ".py"), "cycles": FORMATS}
+    if file.suffix.lower() == ".pbrt":
+        raise OptionError(PBRT.format(file=file))
     readers = [name for name, suffixes in formats.items() if file.suffix.lower() in suffixes]
     supported = "; ".join(f"{name} reads {', '.join(formats[name])}" for name in formats)
     if not readers:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -10,7 +10,7 @@ import OpenEXR
 from numpy.typing import NDArray
 
 from rlbench.clips.exr_header import ExrHeader, ExrHeaderError, read_exr_header
-from rlbench.clips.header import ClipError, version_1_names
+from rlbench.clips.header import ClipError
 from rlbench.system.paths import atomic_write, write_error
 
 __all__ = ["TYPES", "channel_dtype", "read_exr", "read_planes", "write_exr"]
@@ -35,17 +35,16 @@ def write_exr(path: Path, channels: Mapping[str, NDArray[np.floating]]) -> None:
 def read_exr(path: Path, names: Sequence[str], height: int, width: int) -> NDArray[np.floating]:
     """The channels `names` as [c h w], in the precision of the file.
 
-    A channel may have its name of format version 1 in the file. Only these channels are unpacked,
-    though OpenEXR decompresses whole chunks with all their channels. Raises ClipError where the
-    file is missing, broken, of another size, or has no such channel.
+    Only these channels are unpacked, though OpenEXR decompresses whole chunks with all their
+    channels. Raises ClipError where the file is missing, broken, of another size, or has no such
+    channel.
     """
     if not path.is_file():
         raise ClipError(f"{path} is missing; `rlbench render` restores missing frames")
     try:
         header = read_exr_header(path)
-        stored_names = [_stored_name(name, header.channels) for name in names]
-        _check(path, header, stored_names, height, width)
-        return np.stack(read_planes(path, header, stored_names))
+        _check(path, header, names, height, width)
+        return np.stack(read_planes(path, header, names))
     except (OSError, RuntimeError, MemoryError, ExrHeaderError) as error:
         raise ClipError(
             f"{path} cannot be decoded, truncated or corrupt ({error}); "
@@ -75,13 +74,6 @@ def channel_dtype(path: Path, name: str) -> type[np.floating]:
         return TYPES[read_exr_header(path).channels[name].pixel_type]
     except (OSError, KeyError, ExrHeaderError) as error:
         raise ClipError(f"{path} has no channel {name} of half or float: {error}") from error
-
-
-def _stored_name(name: str, channels: Collection[str]) -> str:
-    """The name of a channel in a file, which may be that of format version 1."""
-    buffer, dot, letter = name.partition(".")
-    old_name = f"{version_1_names([buffer])[0]}{dot}{letter}"
-    return old_name if name not in channels and old_name in channels else name
 
 
 def _check(path: Path, header: ExrHeader, names: Sequence[str], h: int, w: int) -> None:

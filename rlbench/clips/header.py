@@ -22,12 +22,11 @@ __all__ = [
     "ClipError",
     "Header",
     "read_header",
-    "version_1_names",
+    "names_in_digests",
     "write_header",
 ]
 
-VERSION = 2  # of the format that is written
-READABLE_VERSIONS = (1, 2)
+VERSION = 2  # of the format
 FILE = "clip.toml"
 MAX_FILE_BYTES = 2**24  # of clip.toml
 STANDARD_BUFFERS = {"albedo": 3, "normal": 3, "depth": 1, "motion": 2}  # channels of each
@@ -55,11 +54,10 @@ LIMITATIONS = {  # what an imported clip may not have, although the format requi
     },
     "flow": "motion was estimated by optical flow of albedo, because the source has none",
 }
-RENAMED_FIELDS = {"lacks": "limitations"}  # version 1: today
-RENAMED_BUFFERS = {  # version 1: today
-    "normal_behind": "normal_psr",
-    "depth_behind": "depth_psr",
-    "object_behind": "object_psr",
+NAMES_IN_DIGESTS = {
+    "normal_psr": "normal_behind",
+    "depth_psr": "depth_behind",
+    "object_psr": "object_behind",
 }
 
 
@@ -213,26 +211,24 @@ class Header:
         """The fields that decide the tensors of a frame with samples from `pool`.
 
         They are part of the clip's digest, which therefore does not change when another pool is
-        added. They have their names of format version 1, so a clip keeps its digest when its
-        header is written again in a later version.
+        added. Keys and names are literals that must not change, or digests change.
         """
         keys = ("name", "scene", "height", "width", "frames", "exposure", "pool_spp")
         values = {"version": 1} | {key: getattr(self, key) for key in keys}
-        values |= {"buffers": version_1_names(self.buffers), "pools": (pool,)}
+        values |= {"buffers": names_in_digests(self.buffers), "pools": (pool,)}
         values["static"] = self.static
-        if self.limitations:  # clips without limitations are older than the field
-            values["lacks"] = version_1_names(self.limitations)
+        if self.limitations:
+            values["lacks"] = names_in_digests(self.limitations)
         return values
 
 
-def version_1_names(names: Iterable[str]) -> tuple[str, ...]:
-    """The names that buffers had in format version 1, for hashes and keys that must not change.
+def names_in_digests(names: Iterable[str]) -> tuple[str, ...]:
+    """The names of buffers as hashes and keys of clips have them, which must not change.
 
-    >>> version_1_names(["depth", "depth_psr"])
+    >>> names_in_digests(["depth", "depth_psr"])
     ('depth', 'depth_behind')
     """
-    old_names = {new: old for old, new in RENAMED_BUFFERS.items()}
-    return tuple(old_names.get(name, name) for name in names)
+    return tuple(NAMES_IN_DIGESTS.get(name, name) for name in names)
 
 
 def write_header(folder: Path, header: Header) -> None:
@@ -242,7 +238,7 @@ def write_header(folder: Path, header: Header) -> None:
 
 
 def read_header(folder: Path) -> Header:
-    """The header of a finished clip, of format version 1 or 2. Unknown keys are ignored.
+    """The header of a finished clip. Unknown keys are ignored.
 
     Raises ClipError where the folder or its clip.toml does not exist, or the file is not valid.
     """
@@ -263,19 +259,18 @@ def read_header(folder: Path) -> Header:
             f"{path} cannot be read ({error}); delete the file and render the clip again"
         ) from error
     version = document.get("version")
-    if not isinstance(version, int) or version not in READABLE_VERSIONS:
-        readable = " and ".join(map(str, READABLE_VERSIONS))
+    if version != VERSION:
         raise ClipError(
-            f"{path} has format version {describe_value(version)}, this rlbench reads {readable}: "
+            f"{path} has format version {describe_value(version)}, this rlbench reads {VERSION}: "
             "update rlbench, or render the clip again"
         )
     return _decode_header(path, document)
 
 
 def _decode_header(path: Path, document: Mapping[str, Any]) -> Header:
-    """The header in a document of any readable version. Raises ClipError, naming the wrong key."""
+    """The header in a document. Raises ClipError, naming the wrong key."""
     try:
-        return decode(_rename_buffers(document), Header, renamed=RENAMED_FIELDS)
+        return decode(document, Header)
     except (ValueError, OverflowError) as error:
         if isinstance(error.__cause__, ClipError):  # raised by Header itself
             raise error.__cause__ from None
@@ -284,14 +279,6 @@ def _decode_header(path: Path, document: Mapping[str, Any]) -> Header:
         raise ClipError(
             f"{path}: {error}{value}; correct the file, or render the clip again"
         ) from error
-
-
-def _rename_buffers(document: Mapping[str, Any]) -> dict[str, Any]:
-    """A document whose lists name buffers as this version does."""
-    return {
-        key: [RENAMED_BUFFERS.get(str(w), w) for w in value] if isinstance(value, list) else value
-        for key, value in document.items()
-    }
 
 
 def _list_clips(parent: Path) -> str:

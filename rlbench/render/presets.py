@@ -27,6 +27,24 @@ __all__ = [
 ]
 
 TEST_SCENES = ("city", "temple", "hall", "ripples")
+# scenes by others: the scene's own camera, then random paths by seed
+REAL = tuple(
+    name if seed is None else f"{name}-{seed:03d}"
+    for name in ("living-room", "classroom", "staircase2")
+    for seed in (None, 0)
+)
+REAL_CHECK = ("dining-room", "bathroom2", "staircase", "veach-bidir")
+# a scene that no training sees, and other paths in two that it sees
+REAL_DEVELOPMENT = (
+    *(f"living-room-2-{seed:03d}" for seed in range(8)),
+    *(f"bathroom-{seed:03d}" for seed in range(100, 104)),
+    *(f"kitchen-{seed:03d}" for seed in range(100, 104)),
+)
+TRAIN_REAL = tuple(
+    f"{name}-{seed:03d}"
+    for name, paths in (("bathroom", 12), ("kitchen", 12), ("spaceship", 4))
+    for seed in range(paths)
+)
 PATH_AND_RESTIR = ("path", "restir")  # entry points in the group rlbench.pools
 GENERATORS = ("generated", "eventful")  # scene entry points that take a seed; clips <name>-<seed>
 TakeSelection = Literal["main", "all"]
@@ -201,6 +219,49 @@ PRESETS = {
             uses=("decide",),
         ),
         Preset(
+            "real",
+            "scenes by others, complete: reported, never decided on (rlbench scenes)",
+            (192, 192),
+            8,
+            32,
+            REAL,
+            min_noise_ceiling_db=31.0,
+            max_reference_rounds=8,
+        ),
+        Preset(
+            "real-check",
+            "further scenes by others, for a last check",
+            (192, 192),
+            8,
+            32,
+            REAL_CHECK,
+            min_noise_ceiling_db=31.0,
+            max_reference_rounds=8,
+        ),
+        # of the scenes of these two presets, files may be missing
+        Preset(
+            "real-development",
+            "decisions: random paths in scenes by others (rlbench scenes)",
+            (160, 160),
+            8,
+            32,
+            REAL_DEVELOPMENT,
+            min_noise_ceiling_db=29.0,
+            max_reference_rounds=4,
+            uses=("decide",),
+        ),
+        Preset(
+            "train-real",
+            "training: random paths in scenes by others",
+            (160, 160),
+            8,
+            32,
+            TRAIN_REAL,
+            min_noise_ceiling_db=29.0,
+            max_reference_rounds=2,
+            uses=("train",),
+        ),
+        Preset(
             "unseen",
             "many clips, so that small differences show: generated scenes kept from training",
             (160, 160),
@@ -233,8 +294,8 @@ def is_clip_for(use: PresetUse, preset: str, scene: str, name: str) -> bool:
     True
     """
     known = PRESETS.get(_base(preset))
-    shown = {scene, name, name.rpartition("-")[0]}  # the last one of a take
-    is_foreign = known is not None and not shown & set(known.scene_names)
+    labels = {scene, name, name.rpartition("-")[0]}  # the last one of a take
+    is_foreign = known is not None and not labels & set(known.scene_names)
     return not preset or is_foreign or use in _uses(preset)
 
 

@@ -20,6 +20,7 @@ __all__ = [
     "clips_folder",
     "decoded_folder",
     "publish_folder",
+    "scenes_folder",
     "write_error",
 ]
 
@@ -47,6 +48,11 @@ def clips_folder() -> Path:
 def decoded_folder() -> Path:
     """The folder of decoded copies of clips; it may be deleted at any time."""
     return cache_folder() / "decoded"
+
+
+def scenes_folder() -> Path:
+    """The folder of downloaded scenes by others, one folder each, and of pins that users made."""
+    return cache_folder() / "scenes"
 
 
 class WriteError(RlbenchError, OSError):

@@ -82,9 +82,10 @@ def describe_small_pools(clips: Sequence[StoredClip], budgets: Sequence[float]) 
 
 def _expand(word: str) -> list[Path]:
     """The folders that a word names: the folder itself, or all that match it as a pattern."""
-    if Path(word).exists() or not has_magic(word):
-        return [Path(word).expanduser()]
-    if folders := [Path(path) for path in sorted(glob(word)) if Path(path).is_dir()]:
+    path = Path(word).expanduser()
+    if path.exists() or not has_magic(word):
+        return [path]
+    if folders := [Path(match) for match in sorted(glob(str(path))) if Path(match).is_dir()]:
         return folders
     raise ClipError(f"no folder matches '{word}'. Name a folder that holds clips")
 

@@ -411,10 +411,16 @@ def _end_with(parent: int) -> None:
 
 
 def _use_spare_time() -> None:
-    """Let this new process run when no other one wants the processor."""
+    """Let this new process run when no other one wants the processor.
+
+    Linux shares processors among sessions first (`sched(7)`, autogroups), so nice values alone
+    would give a training as much as everything in another terminal.
+    """
     os.nice(19)
-    with suppress(OSError):  # not every kernel has it
+    with suppress(OSError):  # not every kernel has these
         os.sched_setscheduler(0, os.SCHED_IDLE, os.sched_param(0))
+    with suppress(OSError):
+        Path("/proc/self/autogroup").write_text("19")
 
 
 @contextmanager

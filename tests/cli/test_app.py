@@ -16,10 +16,10 @@ from tests.cli.runner import CHECKOUT, python, rlbench
 from tests.test_readme import check_command
 
 PIPELINE = [
-    *("doctor", "list", "cache", "render", "render-scene", "download", "pack", "import", "lint"),
-    *("new", "check", "stress", "speed", "fingerprint", "train", "lr-find", "replay", "crossval"),
-    *("run", "evaluate", "report", "decide", "compare", "images", "view", "video", "regress"),
-    *("submit", "verify", "card"),
+    *("doctor", "list", "cache", "render", "render-scene", "download", "pack", "scenes", "import"),
+    *("lint", "new", "check", "stress", "speed", "fingerprint", "train", "lr-find", "replay"),
+    *("crossval", "run", "evaluate", "report", "decide", "compare", "images", "view", "video"),
+    *("regress", "submit", "verify", "card"),
 ]
 HELP_SECONDS = 0.5  # of processor time
 

@@ -74,7 +74,9 @@ def test_report_lists_files_and_what_it_could_not_write(run_mean, tmp_path):
     assert "rlbench run --draws 4" in found["failed"]["variance"]
 
 
-@pytest.mark.parametrize("kind", ["RunOutput", "ReportOutput", "ChecksOutput", "CacheOutput"])
+@pytest.mark.parametrize(
+    "kind", ["RunOutput", "ReportOutput", "ChecksOutput", "CacheOutput", "ScenesOutput"]
+)
 def test_every_key_is_documented(kind):
     documented = set(re.findall(r"`(\w+)`", PAGE.read_text()))
     assert keys(getattr(json_output, kind)) <= documented

@@ -107,3 +107,15 @@ def test_a_pattern_selects_rows_of_variants_without_shipped_weights(tmp_path):
     assert set(selected["method"]) == set(NOT_PRETRAINED)
     with pytest.raises(OptionError, match="has no rows of svgf/"):
         reports.select_rows(rows, ["svgf/*"], tmp_path)
+
+
+def test_a_report_is_compared_with_the_results_of_another_preset(run_mean, tmp_path):
+    rlbench(*run_mean)
+    words = ("report", "real", "--results", tmp_path / "r", "--out", tmp_path / "figures")
+    assert "name results to compare with by --against" in rlbench(*words, code=2)
+    rlbench(*words, "--against", tmp_path / "r")
+    assert "| psnr, " in (tmp_path / "figures" / "real.md").read_text()
+    twice = f"{tmp_path / 'r'},{tmp_path / 'r'}"
+    assert "another folder has preset" in rlbench(*words, "--against", twice, code=2)
+    words = ("report", "summary", "--results", tmp_path / "r", "--against", tmp_path / "r")
+    assert "report 'summary' compares no presets" in rlbench(*words, code=2)

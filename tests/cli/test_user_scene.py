@@ -43,6 +43,8 @@ def test_render_scene_hands_over_its_options(user_clips, tmp_path):
     [
         ("none.xml", (), "Invalid value for 'FILE'"),
         ("a.max", (), "a.max: no tracer reads it. mitsuba reads .xml, .py"),
+        ("a.pbrt", (), "a.pbrt: neither Mitsuba nor Cycles reads pbrt. Convert it"),
+        ("a.blend", ("--skip-missing",), "--skip-missing is for Mitsuba XML files"),
         ("a.xml", ("--tracer", "cycles"), "error: --tracer cycles does not read a.xml"),
         ("a.xml", ("--tracer", "luxcore"), "'luxcore' is not one of 'mitsuba', 'cycles'"),
         ("a.xml", ("--size", "320"), "'320' is no size. Give WIDTHxHEIGHT"),
@@ -56,7 +58,7 @@ def test_render_scene_hands_over_its_options(user_clips, tmp_path):
     ],
 )
 def test_wrong_use_of_render_scene_is_one_message(user_clips, tmp_path, name, words, message):
-    for existing in ("a.xml", "a.max", "a.blend"):
+    for existing in ("a.xml", "a.max", "a.blend", "a.pbrt"):
         (tmp_path / existing).touch()
     assert message in rlbench("render-scene", tmp_path / name, *words, code=2)
     assert user_clips == []

@@ -1,13 +1,8 @@
-"""clip.toml: round trip, checks, and clips in format version 1.
-
-`data/version_1` is a clip of 8 x 8 pixels and 2 frames that was written by commit a26c6ed. Its
-images are `version_1_images`, in this order.
-"""
+"""clip.toml: round trip, checks, and names that digests must keep."""
 
 from __future__ import annotations
 
 import math
-import shutil
 import tomllib
 from dataclasses import replace
 from pathlib import Path
@@ -17,34 +12,12 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from rlbench.clips import ClipError, open_clip, read_header, verify, write_frame, write_header
-from rlbench.clips.header import BUFFER_CHANNELS, LIMITATIONS
+from rlbench.clips import ClipError, read_header, verify, write_frame, write_header
+from rlbench.clips.header import BUFFER_CHANNELS
 from rlbench.render.jobs.job import Job
 from rlbench.render.presets import Preset
 from tests.clips.clip_folders import FRAMES, HEADER
 from tests.render.small_scenes import room
-
-VERSION_1 = Path(__file__).parent / "data" / "version_1"
-DIGESTS = {  # as commit a26c6ed computed them
-    "path": "6ba522402952e14cec451455db740d86",
-    "restir": "c1c7b4f2f049edb8074ed09a3d0ff6be",
-}
-
-
-def version_1_images(index: int) -> dict[str, np.ndarray]:
-    """The images of a frame of the version-1 clip; all are exact in half precision."""
-    rng = np.random.default_rng(index)
-    images = {
-        name: rng.integers(0, 9, (8, 8, channels)) / 8 for name, channels in BUFFER_CHANNELS.items()
-    }
-    images |= {pool: rng.integers(0, 33, (2, 8, 8, 3)) / 8 for pool in DIGESTS}
-    return images | {half: rng.integers(0, 33, (8, 8, 3)) / 8 for half in "ab"}
-
-
-@pytest.fixture
-def old_clip(tmp_path):
-    """A copy of the version-1 clip."""
-    return Path(shutil.copytree(VERSION_1, tmp_path / "old"))
 
 
 def _edit(folder: Path, old: str, new: str) -> None:
@@ -189,66 +162,30 @@ def test_a_value_of_another_type_is_reported_with_its_key_and_value(folder, old,
         read_header(folder)
 
 
-# Format version 1
+# Names that digests and keys of clips hold
 
 
-def test_a_clip_of_version_1_has_the_fields_that_were_written():
-    header = read_header(VERSION_1)
-    assert (header.name, header.exposure, header.reference_spp) == ("old/clip", 0.5, (64, 32))
-    assert (header.pools, header.pools_ms, header.cuts) == (("path", "restir"), (1.5, 2.5), (1,))
-    assert header.radiance_cap == 64.0
+def test_digests_name_buffers_and_limitations_as_they_always_did():
+    header = replace(HEADER, buffers=("albedo", "depth_psr"), limitations=("depth_psr",))
+    fields = header.digest_fields("path")
+    assert (fields["version"], fields["pools"]) == (1, ("path",))
+    assert fields["buffers"] == ("albedo", "depth_behind")
+    assert fields["lacks"] == ("depth_behind",)
 
 
-def test_a_clip_of_version_1_has_todays_names_of_buffers_and_limitations():
-    header = read_header(VERSION_1)
-    assert header.buffers == tuple(BUFFER_CHANNELS)
-    assert header.limitations == ("independence", "depth_psr")
-    assert set(header.limitations) <= set(LIMITATIONS)
-
-
-@pytest.mark.parametrize("pool", DIGESTS)
-def test_a_clip_of_version_1_keeps_its_digest(pool):
-    assert open_clip(VERSION_1, pool=pool).digest == DIGESTS[pool]
-
-
-def test_a_clip_of_version_1_keeps_its_digest_when_its_header_is_written_again(old_clip):
-    write_header(old_clip, replace(read_header(old_clip), sample_ms=9.0))
-    assert open_clip(old_clip, pool="restir").digest == DIGESTS["restir"]
-    document = tomllib.loads((old_clip / "clip.toml").read_text("utf-8"))
-    assert (document["version"], document["limitations"]) == (2, ["independence", "depth_psr"])
-    assert "lacks" not in document
-    assert document["buffers"][-3:] == ["normal_psr", "depth_psr", "object_psr"]
-
-
-@pytest.mark.parametrize("buffer", BUFFER_CHANNELS)
-def test_a_buffer_of_version_1_is_read_by_todays_name(buffer):
-    tensor = open_clip(VERSION_1, inputs=frozenset({buffer})).frame(1).gbuffer.extra(buffer)
-    expected = version_1_images(1)[buffer]
-    np.testing.assert_array_equal(tensor[0].permute(1, 2, 0).numpy(), expected)
-
-
-def test_a_clip_of_version_1_is_valid():
-    assert verify(VERSION_1) == []
-
-
-def test_a_buffer_that_neither_version_has_is_reported_by_todays_name(old_clip):
-    (old_clip / "view.0001.exr").write_bytes((old_clip / "referenceA.0001.exr").read_bytes())
-    with pytest.raises(ClipError, match=r"view\.0001\.exr has no channel depth_psr\.Z; it has: B"):
-        open_clip(old_clip, inputs=frozenset({"depth_psr"})).frame(1)
-
-
-def test_a_clip_written_today_names_its_channels_by_todays_names(tmp_path):
-    images = version_1_images(0)
-    gbuffer = {name: images[name] for name in BUFFER_CHANNELS}
-    write_frame(tmp_path, 0, gbuffer, {"path": images["path"]}, images["a"], images["b"])
+def test_a_clip_names_its_channels_as_the_header_does(tmp_path):
+    rng = np.random.default_rng(0)
+    gbuffer = {name: rng.random((8, 8, n)) for name, n in BUFFER_CHANNELS.items()}
+    image = rng.random((8, 8, 3))
+    write_frame(tmp_path, 0, gbuffer, {"path": np.stack([image, image])}, image, image)
     header = replace(HEADER, height=8, width=8, frames=1, pool_spp=2, reference_spp=(1,))
     write_header(tmp_path, replace(header, buffers=tuple(BUFFER_CHANNELS)))
     assert verify(tmp_path) == []
     assert b"depth_psr.Z" in (tmp_path / "view.0000.exr").read_bytes()
 
 
-def test_a_clip_rendered_with_the_buffers_of_version_1_is_not_rendered_again(tmp_path):
+def test_the_key_of_a_rendered_clip_names_its_buffers_as_it_always_did(tmp_path):
     plan = Preset("test", "tests", (8, 8), frames=2, reference_spp=2)
     plan = plan.with_buffers(("object", "depth_psr"))
     key = Job("room", room(), plan, tmp_path).content_key
-    assert key.endswith("with object depth_behind\n")  # as commit a26c6ed wrote it
+    assert key.endswith("with object depth_behind\n")

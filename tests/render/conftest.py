@@ -30,10 +30,14 @@ def _probed(probe_results, _own_cache):
         shutil.copy(probe_results, paths.cache_folder())
 
 
-@pytest.fixture
-def llvm():
+@pytest.fixture(scope="session")
+def usable_llvm():
     if all(library.unusable_reason for library in find_libraries()):
         pytest.skip(NO_LLVM)
+
+
+@pytest.fixture
+def llvm(usable_llvm):
     return select_variant("llvm_ad_rgb")
 
 

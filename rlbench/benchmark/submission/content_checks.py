@@ -32,6 +32,7 @@ LIMITS = {  # of a score in one frame
     "smape": (0.0, 1.0),
     "flicker": (0.0, math.inf),
     "warped_error": (0.0, math.inf),
+    "blotches": (0.0, math.inf),
     "effort_error": (-1.0, 1.0),
     "effort_noise": (-1.0, 1.0),
 }

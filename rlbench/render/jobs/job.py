@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
 
-from rlbench.clips.header import FILE, Header, version_1_names
+from rlbench.clips.header import FILE, Header, names_in_digests
 from rlbench.clips.stored import ClipError, has_frame
 from rlbench.frames import BUFFERS
 from rlbench.render.fingerprint import fingerprint
@@ -66,7 +66,7 @@ class Job:
             f", up to {preset.max_reference_rounds} rounds to {preset.min_noise_ceiling_db:g} dB"
         ) * (preset.max_reference_rounds > 1)
         samples += f", cap {preset.radiance_cap:g}" * (preset.radiance_cap < math.inf)
-        samples += f", with {' '.join(version_1_names(preset.extra_buffers))}" * bool(
+        samples += f", with {' '.join(names_in_digests(preset.extra_buffers))}" * bool(
             preset.extra_buffers
         )
         return f"{fingerprint(self.scene, preset.frames)} {size} {preset.frames} frames {samples}\n"

@@ -8,8 +8,9 @@ from __future__ import annotations
 
 import gc
 import importlib.metadata
+import inspect
 import logging
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from functools import partial
 from pathlib import Path
 
@@ -31,7 +32,7 @@ from rlbench.render.jobs.job import Job
 from rlbench.render.jobs.trace_times import measure_trace_times
 from rlbench.render.mitsuba import llvm
 from rlbench.render.mitsuba.open_tracer import Tracer, open_tracer
-from rlbench.render.presets import GENERATORS, Preset
+from rlbench.render.presets import Preset
 from rlbench.render.scene import Scene, SceneError
 from rlbench.system import paths
 from rlbench.system.progress import format_duration
@@ -82,7 +83,19 @@ def preset_jobs(
     scene_of: dict[str, Scene] = {}
     for name in selected_names(preset, scenes, seeds):
         scene_of |= _select_takes(name, preset)
+    _check_complete(scene_of, preset)
     return [Job(name, scene, preset, folder / name) for name, scene in scene_of.items()]
+
+
+def _check_complete(scenes: Mapping[str, Scene], preset: Preset) -> None:
+    """Raise SceneError if a clip that is reported would lack parts of its scene."""
+    for name, scene in scenes.items() if preset.uses == ("report",) else ():
+        if scene.missing_files:
+            raise SceneError(
+                f"clip {name} of preset {preset.name} is reported, and its scene misses "
+                f"{len(scene.missing_files)} files, such as {scene.missing_files[0]}: run "
+                f"`rlbench scenes get {scene.name}`"
+            )
 
 
 def selected_names(
@@ -118,22 +131,26 @@ def render_missing(
 def scene_of_clip(clip: str) -> Scene:
     """The scene of a clip, by the name of the clip.
 
-    The name is that of an installed scene, `<scene>-<take>`, or `generated-<seed>`. Raises
-    LookupError for an unknown scene, and SceneError for an unknown take or a missing seed.
+    The name is that of an installed scene, `<scene>-<take>`, or `<scene>-<seed>` for a scene that
+    takes a `seed`, such as `generated`. Raises LookupError for an unknown scene, and SceneError for
+    an unknown take or a missing seed.
     """
     name, _, suffix = clip.rpartition("-")
-    generator = next((each for each in GENERATORS if each in (clip, name)), None)
-    if generator:
-        if not suffix.isdecimal() or clip == generator:
-            raise SceneError(
-                f"'{clip}' is not a generated scene; give a seed, for example {generator}-007"
-            )
-        generated: Scene = registry.load_plugin("scenes", generator)(int(suffix))
-        return generated
     installed = registry.list_plugins("scenes")
     is_main = clip in installed or name not in installed
-    scene: Scene = registry.load_plugin("scenes", clip if is_main else name)()
-    return scene if is_main else scene.select_take(suffix)
+    plugin = registry.load_plugin("scenes", clip if is_main else name)
+    seed = inspect.signature(plugin).parameters.get("seed")
+    scene: Scene
+    if seed is not None and not is_main and suffix.isdecimal():
+        scene = plugin(int(suffix))
+    elif seed is not None and seed.default is inspect.Parameter.empty:
+        raise SceneError(
+            f"'{clip}' is not a generated scene; give a seed, for example "
+            f"{clip if is_main else name}-007"
+        )
+    else:
+        scene = plugin() if is_main else plugin().select_take(suffix)
+    return scene
 
 
 def render_clip(
@@ -194,7 +211,8 @@ def _render_all(jobs: list[Job], bar: Progress, executor: Executor) -> None:
 def _estimate(jobs: list[Job], executor: Executor) -> str:
     """The work ahead in words, with the time it takes on this machine, after a short trial."""
     preset, paths_to_trace = jobs[0].preset, _count_paths(jobs)
-    trial_ms = open_tracer(jobs[0].scene, *preset.size).measure_sample_ms(repeats=1, spp=TRIAL_SPP)
+    scene = jobs[0].inspected().scene
+    trial_ms = open_tracer(scene, *preset.size).measure_sample_ms(repeats=1, spp=TRIAL_SPP)
     gc.collect()  # while the old scene is alive, Dr.Jit compiles kernels for the next one again
     seconds = paths_to_trace / (preset.size[0] * preset.size[1]) * trial_ms / 1e3
     at_most = "at most " if preset.max_reference_rounds > 1 else ""

@@ -2,35 +2,14 @@
 
 from __future__ import annotations
 
-from pathlib import Path
 from typing import Any
 
-from rlbench.render.mitsuba.xml_nodes import children, file_resolver, location
+from rlbench.render.mitsuba.xml_nodes import children, location
 from rlbench.render.scene import SceneError
 
-__all__ = ["find_files", "refuse_attribute_emitters", "refuse_media", "refuse_other_sensors"]
+__all__ = ["refuse_attribute_emitters", "refuse_media", "refuse_other_sensors"]
 
 PINHOLES = ("perspective", "thinlens")
-
-
-def find_files(state: Any) -> list[Path]:
-    """The files that the nodes refer to. Raises SceneError, which lists all missing files."""
-    files, missing = [], []
-    for node in state.nodes:
-        names = [v for k, v in node.props.items() if k.endswith("filename") and isinstance(v, str)]
-        for name in names:
-            path = Path(str(file_resolver().resolve(name)))
-            if path.is_file():
-                files.append(path)
-            else:
-                missing.append(f"{name}, in {node.props.plugin_name()} at {location(state, node)}")
-    if missing:
-        raise SceneError(
-            "the scene refers to files that do not exist:\n  " + "\n  ".join(missing) + "\n"
-            "Relative paths start at the folder of the XML file. --skip-missing leaves these "
-            "shapes out and makes these textures grey"
-        )
-    return files
 
 
 def refuse_media(state: Any) -> None:

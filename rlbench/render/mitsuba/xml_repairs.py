@@ -1,4 +1,4 @@
-"""Repairs of Mitsuba XML files: old versions, plugins that are gone, files that are missing.
+"""Repairs of Mitsuba XML files of old versions: colours, plugins and properties that are gone.
 
 Mitsuba upgrades names of older files by itself. It does not read their colours in hexadecimal,
 knows neither the index of the medium outside of a metal nor the BSDFs `ward` and `phong`, and turns
@@ -10,20 +10,31 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Sequence
-from pathlib import Path
 from typing import Any
 
 import numpy as np
+from jaxtyping import Float
+from numpy import ndarray as Array
 
-from rlbench.render.mitsuba.xml_nodes import file_resolver, location
+from rlbench.render.mitsuba.xml_nodes import add_node, line, peek
 
-__all__ = ["repair_nodes", "repair_text", "replace_missing_files"]
+__all__ = ["Notes", "describe_repairs", "is_night", "repair_nodes", "repair_text"]
 
-HEX_COLOR = re.compile(r'<s?rgb\b([^<>]*?)\bvalue\s*=\s*"\s*#([0-9a-fA-F]{6})\s*"')
-SRGB_COLOR = re.compile(r'<srgb\b([^<>]*?)\bvalue\s*=\s*"([^"#]*)"')
-SKIES = ("sky", "sun", "sunsky")
-GREY = 0.5  # reflectance of a texture whose file is missing
-METAL_BELOW = 0.01  # diffuse reflectance up to which a Ward BSDF is a metal
+COLOR = re.compile(r"<(s?rgb)\b([^<>]*?)\bvalue\s*=\s*([\"'])\s*([^\"']*?)\s*\3")
+OUTSIDE = {"vacuum": 1.0, "air": 1.0, "water": 1.333}  # index of refraction, by Mitsuba 0.6's names
+SUN_APERTURE = 0.5338  # degrees, of sunsky by default
+Y_UP = [[1, 0, 0, 0], [0, 0, 1, 0], [0, -1, 0, 0], [0, 0, 0, 1]]  # turns z up into it
+UNUSED = ("max_anisotropy", "cache", "resolution")  # of Mitsuba 0.6, and without effect here
+IGNORED = {  # properties of Mitsuba 0.6 that remain after repairs, and change the image
+    "bitmap": ("gamma", "wrap_mode_u", "wrap_mode_v"),
+    "envmap": ("gamma",),
+    "sunsky": ("sun_radius_scale", "stretch", "extend"),
+    **dict.fromkeys(("conductor", "roughconductor"), ("ext_eta",)),
+    **dict.fromkeys(("obj", "ply", "serialized"), ("max_smooth_angle",)),
+}
+SHOWN = 4  # lines of the file in a note
+
+Notes = dict[str, list[str]]  # lines of the file, by what happened there
 
 
 def repair_text(text: str) -> tuple[str, list[str]]:
@@ -34,153 +45,190 @@ def repair_text(text: str) -> tuple[str, list[str]]:
     >>> repair_text('<rgb name="reflectance" value="#ff0080"/>')[0]
     '<rgb name="reflectance" value="1 0 0.215861"/>'
     """
+    changed = []
 
-    def from_hex(match: re.Match[str]) -> str:
-        return _linear_rgb(match[1], [int(match[2][i : i + 2], 16) / 255 for i in (0, 2, 4)])
+    def to_linear(match: re.Match[str]) -> str:
+        element, attributes, quote, value = match.groups()
+        if re.fullmatch("#[0-9a-fA-F]{6}", value):
+            colour = [byte / 255 for byte in bytes.fromhex(value[1:])]
+        elif element == "srgb" and "$" not in value:
+            colour = [float(v) for v in value.replace(",", " ").split()]
+        else:
+            return match[0]
+        changed.append(value)
+        return f"<rgb{attributes}value={quote}{_decode_srgb(colour)}{quote}"
 
-    def from_srgb(match: re.Match[str]) -> str:
-        return _linear_rgb(match[1], [float(v) for v in match[2].replace(",", " ").split()])
-
-    repaired, count = HEX_COLOR.subn(from_hex, text)
-    repaired, more = SRGB_COLOR.subn(from_srgb, repaired)
-    total = count + more
-    return repaired, [f"{total} sRGB colours are converted to linear numbers"] * (total > 0)
+    repaired = COLOR.sub(to_linear, text)
+    return repaired, [f"{len(changed)} sRGB colours are converted to linear numbers"] * bool(
+        changed
+    )
 
 
-def repair_nodes(state: Any, version: int) -> list[str]:
-    """Replace what Mitsuba 3 lacks in parsed nodes, before their upgrade; returns notes.
+def repair_nodes(state: Any) -> Notes:
+    """Replace plugins and properties that Mitsuba 3 lacks, in place.
 
-    `version` is the major version of the file; below 3, y is up for skies, names are in camelCase.
+    The nodes must have been upgraded, and their references resolved.
     """
-    notes: dict[str, None] = {}
-    for node in state.nodes:
-        plugin, props = node.props.plugin_name(), node.props
-        if plugin in ("conductor", "roughconductor"):
-            _divide_by_exterior(props, notes)
+    import mitsuba as mi
+
+    notes: Notes = {}
+    for index in range(len(state.nodes)):  # nodes that repairs append need none
+        node = state.nodes[index]
+        plugin, where = node.props.plugin_name(), line(state, node)
+        if plugin in ("sky", "sun", "sunsky"):
+            is_y_up = state.versions[node.file_index] < mi.Version(3, 0, 0)
+            found = _repair_sky(node, is_y_up)
         elif plugin in ("ward", "phong"):
-            where = location(state, node)
-            notes[f"{where}: BSDF {plugin} is rendered as {_replace_glossy(props, plugin)}"] = None
+            found = [f"BSDF {plugin} is rendered as {_split_lobes(state, index)}"]
         elif plugin == "bitmap":
-            _filter_bilinearly(props)
-        elif plugin in SKIES:
-            _turn_upright(props, plugin, version, notes)
-    return list(notes)
+            found = _repair_bitmap(node)
+        elif plugin in ("conductor", "roughconductor"):
+            found = _divide_by_outside(node)
+        else:
+            found = []
+        for note in [*found, *_drop_properties(state.nodes[index])]:
+            notes.setdefault(note, []).append(where)
+    return notes
 
 
-def replace_missing_files(state: Any) -> list[str]:
-    """Leave out shapes whose file is missing, and make missing textures grey; returns the files.
+def is_night(node: Any) -> bool:
+    """Is the sun of a `sunsky` with a direction below the horizon?"""
+    found = peek(node)
+    if node.props.plugin_name() != "sunsky" or "sun_direction" not in found:
+        return False
+    rotation = np.array(found["to_world"].matrix)[:3, :3] if "to_world" in found else np.eye(3)
+    return bool((np.linalg.inv(rotation) @ np.array(found["sun_direction"]))[2] < 0)
 
-    A texture becomes grey of reflectance 0.5, an environment map a uniform light of radiance 1.
-    """
+
+def describe_repairs(notes: Notes) -> list[str]:
+    """One sentence for each kind of repair, with the first lines."""
+    return [
+        f"{what} (line {', '.join(lines[:SHOWN])}{', ...' * (len(lines) > SHOWN)})"
+        for what, lines in notes.items()
+    ]
+
+
+def _decode_srgb(display: Sequence[float]) -> str:
+    linear = (v / 12.92 if v <= 0.04045 else ((v + 0.055) / 1.055) ** 2.4 for v in display)
+    return " ".join(f"{v:.6g}" for v in linear)
+
+
+def _drop_properties(node: Any) -> list[str]:
+    """Remove what Mitsuba 3 does not have, with a note where that may change the image."""
+    plugin, props = node.props.plugin_name(), node.props
+    ignored = [name for name in IGNORED.get(plugin, ()) if name in props]
+    unused = [name for name in UNUSED if name in props and plugin in IGNORED]
+    for name in (*ignored, *unused):
+        del props[name]
+    return [f"{name} of {plugin} is ignored" for name in ignored]
+
+
+def _repair_sky(node: Any, is_y_up: bool) -> list[str]:
+    """Make `sky`, `sun` and `sunsky` a `sunsky` with z up, which Mitsuba 3 has."""
     import mitsuba as mi
 
-    missing, gone = [], set()
-    for index, node in enumerate(state.nodes):
-        names = [k for k, v in node.props.items() if k == "filename" and isinstance(v, str)]
-        for key in names:
-            name = str(node.props[key])
-            if Path(str(file_resolver().resolve(name))).is_file():
-                continue
-            missing.append(name)
-            del node.props[key]
-            if node.type == mi.ObjectType.Shape:
-                gone.add(index)
-            elif node.props.plugin_name() == "envmap":
-                node.props.set_plugin_name("constant")
-            else:
-                grey = np.full((1, 1, 3), GREY, np.float32)
-                node.props["bitmap"], node.props["raw"] = mi.Bitmap(grey), True
-    _remove_references(state, gone)
-    return sorted(set(missing))
+    props, found, plugin = node.props, peek(node), node.props.plugin_name()
+    if is_y_up:
+        to_world = np.array(found["to_world"].matrix) if "to_world" in found else np.eye(4)
+        props["to_world"] = mi.ScalarTransform4d(to_world @ Y_UP)
+    if plugin != "sunsky":
+        dark = {"sky": "sun", "sun": "sky"}[plugin]
+        props[f"{plugin}_scale"], props[f"{dark}_scale"] = found.get("scale", 1.0), 0.0
+        props.set_plugin_name("sunsky")
+        if "scale" in found:
+            del props["scale"]
+    if found.get("sun_radius_scale", 0.0):  # 0 is a directional light
+        props["sun_aperture"] = SUN_APERTURE * found["sun_radius_scale"]
+        del props["sun_radius_scale"]
+    notes = ["the sun is below the horizon"] * is_night(node)
+    return notes + ["the azimuth of the sun may differ"] * (
+        "sun_direction" not in found and is_y_up
+    )
 
 
-def _remove_references(state: Any, gone: set[int]) -> None:
-    import mitsuba as mi
+def _repair_bitmap(node: Any) -> list[str]:
+    """Filter bilinearly; take one wrap mode for both axes, and `raw` for a gamma of 1."""
+    props, found = node.props, peek(node)
+    if found.get("filter_type", "bilinear") not in ("nearest", "bilinear"):
+        props["filter_type"] = "bilinear"  # rays have no footprint
+    if "wrap_mode_u" in found and found["wrap_mode_u"] == found.get("wrap_mode_v"):
+        props["wrap_mode"] = found["wrap_mode_u"]
+        del props["wrap_mode_u"], props["wrap_mode_v"]
+    if found.get("gamma") == 1.0:
+        props["raw"] = True
+        del props["gamma"]
+    return []
 
-    for node in state.nodes:
-        for key, value in list(node.props.items()):
-            if isinstance(value, mi.Properties.ResolvedReference) and value.index() in gone:
-                del node.props[key]
 
-
-def _linear_rgb(attributes: str, values: Sequence[float]) -> str:
-    linear = (v / 12.92 if v <= 0.04045 else ((v + 0.055) / 1.055) ** 2.4 for v in values)
-    return f'<rgb{attributes}value="{" ".join(f"{v:.6g}" for v in linear)}"'
-
-
-def _divide_by_exterior(props: Any, notes: dict[str, None]) -> None:
+def _divide_by_outside(node: Any) -> list[str]:
     """Eta and k of a metal relative to the medium outside, as Mitsuba 3 lacks `ext_eta`."""
-    key = _find_key(props, "ext_eta")
-    if key is None:
-        return
-    outside = props[key]
-    del props[key]
-    if outside == 1.0:
-        return
-    divisible = [k for k in ("eta", "k") if isinstance(props.get(k, None), float)]
-    for name in divisible if isinstance(outside, float) else ():
-        props[name] = props[name] / outside
-    if not (divisible and isinstance(outside, float)):
-        notes["ext_eta of a conductor is ignored: air is outside"] = None
+    props, found = node.props, peek(node)
+    outside = found.get("ext_eta")
+    index = OUTSIDE.get(outside) if isinstance(outside, str) else outside
+    constants = {n: c for n in ("eta", "k") if (c := _constant(found.get(n))) is not None}
+    if index and len(constants) == 2:
+        for name, colour in constants.items():
+            props[name] = _rgb(colour / index)
+    if index and (index == 1.0 or len(constants) == 2):
+        del props["ext_eta"]
+    return []
 
 
-def _replace_glossy(props: Any, plugin: str) -> str:
-    """Turn a Ward (1992) or Phong (Lafortune and Willems 1994) BSDF into a microfacet BSDF.
+def _split_lobes(state: Any, index: int) -> str:
+    """Make a Ward (1992) or Phong (Lafortune and Willems 1994) BSDF a blend of two; names them.
 
-    Its roughness is the one of Walter et al. 2007, section 5.2, for a Phong exponent.
+    Its lobes become a diffuse BSDF and a microfacet BSDF without a Fresnel term. The reflectance
+    of each is divided by its weight in the blend, so the sum is kept, unless it is a texture. The
+    roughness of a Phong exponent is that of Walter et al. 2007, section 5.2.
     """
-    if plugin == "phong":
-        across = along = math.sqrt(2 / (_take(props, "exponent", 30.0) + 2))
-    else:
-        across, along = _take(props, "alpha_u", 0.1), _take(props, "alpha_v", 0.1)
-        _take(props, "variant", "")
-    diffuse = props.get(_find_key(props, "diffuse_reflectance") or "", None)
-    is_metal = diffuse is not None and np.ndim(diffuse) == 1 and np.max(diffuse) <= METAL_BELOW
-    if is_metal:
-        _take(props, "diffuse_reflectance", None)
-        props["alpha_u"], props["alpha_v"], props["material"] = across, along, "none"
-        kind = "roughconductor"
-    else:
-        _take(props, "specular_reflectance", None)  # Fresnel's equations decide
-        props["alpha"] = math.sqrt(across * along)
-        kind = "roughplastic"
-    props.set_plugin_name(kind)
-    return kind
-
-
-def _filter_bilinearly(props: Any) -> None:
-    """The filters `trilinear` and `ewa` of older versions become `bilinear`."""
-    key = _find_key(props, "filter_type")
-    if key and props[key] not in ("nearest", "bilinear"):
-        props[key] = "bilinear"
-
-
-def _turn_upright(props: Any, plugin: str, version: int, notes: dict[str, None]) -> None:
-    """Skies had y up before version 3 and have z up now; the sun's direction is in world space."""
     import mitsuba as mi
 
-    if version < 3:
-        key = _find_key(props, "to_world") or "to_world"
-        turn = mi.ScalarTransform4f().rotate([1, 0, 0], -90)
-        props[key] = props[key] @ turn if key in props else turn
-    direction = props.get(_find_key(props, "sun_direction") or "", None)
-    up = 1 if version < 3 else 2
-    if direction is not None and _find_key(props, "to_world") and float(direction[up]) < 0:
-        notes[f"the sun of {plugin} is below the horizon"] = None
+    node = state.nodes[index]
+    plugin, found = node.props.plugin_name(), peek(node)
+    base, coat = found.get("diffuse_reflectance", 0.5), found.get("specular_reflectance", 0.2)
+    diffuse, glossy = (0.5 if (c := _constant(v)) is None else c.max() for v in (base, coat))
+    weight = float(glossy / max(1.0, diffuse + glossy)) if diffuse else 1.0
+    exponent = found.get("exponent", 30.0)
+    phong = math.sqrt(2 / (2 + (exponent if isinstance(exponent, float) else 30.0)))
+
+    metal = mi.Properties("roughconductor")
+    metal["material"] = "none"  # reflects everything
+    metal["specular_reflectance"] = _divide(coat, weight)
+    for name in ("alpha_u", "alpha_v"):
+        metal[name] = found.get(name, 0.1) if plugin == "ward" else phong
+    metal.set_id(node.props.id())
+    if weight == 1.0:
+        node.props = metal
+        return "roughconductor"
+    matte = mi.Properties("diffuse")
+    matte["reflectance"] = _divide(base, 1 - weight)
+    blend = mi.Properties("blendbsdf")
+    blend.set_id(node.props.id())
+    blend["weight"] = weight
+    for name, props in (("matte", matte), ("metal", metal)):  # weight 0 is the first
+        props.set_id("")
+        blend[name] = add_node(state, index, props)
+    state.nodes[index].props = blend
+    return "a blend of diffuse and roughconductor"
 
 
-def _find_key(props: Any, name: str) -> str | None:
-    """The key of a property by its name today, which older files write in camelCase."""
-    words = name.split("_")
-    camel_case = words[0] + "".join(word.capitalize() for word in words[1:])
-    return next((key for key in (name, camel_case) if key in props), None)
+def _divide(reflectance: Any, weight: float) -> Any:
+    """A reflectance divided by a weight, at most 1; a texture is unchanged."""
+    constant = _constant(reflectance)
+    return reflectance if constant is None else _rgb((constant / max(weight, 1e-6)).clip(0, 1))
 
 
-def _take(props: Any, name: str, default: Any) -> Any:
-    """Remove a property and return its value."""
-    key = _find_key(props, name)
-    if key is None:
-        return default
-    value = props.get(key, default)
-    del props[key]
-    return value
+def _constant(value: Any) -> Float[Array, "3"] | None:
+    """A number, colour or uniform spectrum as RGB; None for a texture or anything else."""
+    import mitsuba as mi
+
+    if len(getattr(value, "wavelengths", [0])) == 0 and len(value.values) == 1:
+        return np.full(3, value.values[0])
+    is_constant = isinstance(value, float | mi.ScalarColor3d)
+    return np.broadcast_to(np.array(value, np.float64), 3) if is_constant else None
+
+
+def _rgb(colour: Float[Array, "3"]) -> Any:
+    import mitsuba as mi
+
+    return mi.ScalarColor3d(*colour.tolist())

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import hashlib
-import re
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field
@@ -11,7 +10,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from rlbench.render.mitsuba import xml_checks, xml_repairs
+from rlbench.render.mitsuba import xml_checks, xml_files, xml_repairs
 from rlbench.render.mitsuba.xml_nodes import children, file_resolver
 from rlbench.render.scene import Mesh, SceneError, XmlFile
 
@@ -20,8 +19,7 @@ __all__ = ["XmlSettings", "build_scene", "named_meshes", "read_settings"]
 MAX_DEPTH = 8  # longest light path, in edges, if the file has no integrator
 PATH_INTEGRATORS = ("path", "direct")  # integrators that trace the same light paths as rlbench
 FILM = {"width": 768, "height": 576}  # pixels, Mitsuba's default
-VERSION = re.compile(r"<scene\b[^>]*\bversion\s*=\s*[\"'](\d+)")
-REPAIRS_VERSION = 1  # raised whenever `xml_repairs` changes what is rendered
+REPAIRS_VERSION = 2  # raised whenever `xml_repairs` changes what is rendered
 
 
 @dataclass(frozen=True, eq=False)
@@ -51,18 +49,14 @@ def read_settings(xml_file: XmlFile) -> XmlSettings:
 
     Every version that Mitsuba upgrades is accepted; relative paths start at the folder of the file.
     Of the integrator only the maximum depth is used; rlbench's own sampler and box filter replace
-    those of the file. What Mitsuba 3 does not read is repaired (`xml_repairs`), with a note. Raises
-    SceneError for XML errors, missing files, participating media, emitters that Mitsuba renders too
-    dark, and sensors that are not a pinhole.
+    those of the file. What Mitsuba 3 does not read is repaired (`xml_repairs`), and missing files
+    are replaced if the XmlFile skips them (`xml_files`), each with a note. Raises SceneError for
+    XML errors, missing files, participating media, emitters that Mitsuba renders too dark, and
+    sensors that are not a pinhole.
     """
     with _parse(xml_file, merge=False) as (_, state, repairs, missing_files):
         notes = [*repairs]
-        if missing_files:
-            notes.append(
-                f"{len(missing_files)} files are missing: their shapes are left out, their "
-                f"textures grey ({', '.join(missing_files[:3])}{', ...' * bool(missing_files[3:])})"
-            )
-        files = xml_checks.find_files(state)
+        files, _ = xml_files.find_files(state)
         xml_checks.refuse_media(state)
         xml_checks.refuse_attribute_emitters(state)
         camera_to_world, fov, aspect = _read_sensor(state, notes)
@@ -85,12 +79,17 @@ def build_scene(xml_file: XmlFile, merge: bool) -> Any:
     from mitsuba import parser
 
     with _parse(xml_file, merge) as (config, state, *_):
-        # only these nodes, because Mitsuba counts a property as used once it has been read
         for node in (n for n in state.nodes if n.props.plugin_name() in ("scene", "merge")):
             for name, child in children(state, node):
                 if child.type in (mi.ObjectType.Sensor, mi.ObjectType.Integrator):
                     del node.props[name]
-        scene = parser.instantiate(config, state)
+        level = mi.log_level()
+        if any(map(xml_repairs.is_night, state.nodes)):  # a note says so, once
+            mi.set_log_level(mi.LogLevel.Error)
+        try:
+            scene = parser.instantiate(config, state)
+        finally:
+            mi.set_log_level(level)
         return scene[0] if isinstance(scene, list) else scene
 
 
@@ -140,13 +139,23 @@ def _parse(xml_file: XmlFile, merge: bool) -> Iterator[_ParsedFile]:
             state = parser.parse_file(config, str(path), **parameters)
         else:
             state = parser.parse_string(config, text, **parameters)
-        version = VERSION.search(text)
-        notes += xml_repairs.repair_nodes(state, int(version[1]) if version else 3)
-        missing = xml_repairs.replace_missing_files(state) if xml_file.skip_missing else []
+            state.files = [str(path), *state.files[1:]]
+        parser.transform_upgrade(config, state)
+        parser.transform_resolve(config, state)
+        notes += xml_repairs.describe_repairs(xml_repairs.repair_nodes(state))
+        missing: xml_files.MissingFiles = {}
+        if xml_file.skip_missing:
+            missing = xml_files.replace_missing_files(state)
+            notes += xml_files.describe_missing_files(missing)
+        else:
+            xml_files.refuse_missing_files(state)
         parser.transform_all(config, state)
-        yield _ParsedFile(config, state, notes, missing)
+        yield _ParsedFile(
+            config, state, notes, sorted({n for names in missing.values() for n in names})
+        )
     except RuntimeError as error:
-        raise SceneError(f"Mitsuba cannot use {path}: {error}") from error
+        hint = ". -D NAME=VALUE defines it" if "undefined parameter" in str(error) else ""
+        raise SceneError(f"Mitsuba cannot use {path}: {error}{hint}") from error
     finally:
         resolver.clear()
         for folder in saved:

@@ -1,0 +1,234 @@
+"""Scenes by others: who made them, which files they have, and what of them is on this machine."""
+
+from __future__ import annotations
+
+import hashlib
+import os
+from dataclasses import asdict, dataclass
+from pathlib import Path
+
+from rlbench.registry.near_names import unknown_name
+from rlbench.render.presets import PRESETS
+from rlbench.render.scene import SceneError
+from rlbench.scenes.collection.pins import SCENE_FILE, Pin, PinnedFile, read_pin
+from rlbench.system import documents, paths
+
+__all__ = [
+    "CREDITS",
+    "MIRROR_VARIABLE",
+    "CollectionScene",
+    "LocatedScene",
+    "credit",
+    "describe_state",
+    "digest",
+    "find_located",
+    "find_scene",
+    "load_catalog",
+    "locate",
+    "mirror_folder",
+    "own_pin_file",
+    "pins_folder",
+    "place_of",
+]
+
+CATALOG = Path(__file__).parent / "catalog.toml"
+SHIPPED_PINS = CATALOG.parent / "pins"
+MIRROR_VARIABLE = "RLBENCH_SCENES"
+CREDITS = "CREDITS.md"  # beside the files of a downloaded scene
+LICENCES = {
+    "CC0 1.0": "https://creativecommons.org/publicdomain/zero/1.0/",
+    "CC BY 3.0": "https://creativecommons.org/licenses/by/3.0/",
+}
+UNKNOWN_LICENCE = "unknown: see the folder's LICENSE.txt"
+
+
+@dataclass(frozen=True, kw_only=True)
+class CollectionScene:
+    """A scene by others."""
+
+    name: str
+    title: str
+    author: str
+    licence: str  # a key of LICENCES, or words
+    source: str  # address of the original
+    repository: str  # OWNER/REPOSITORY on GitHub
+    commit: str  # 40 hex digits
+    folder: str  # in the repository
+    files: tuple[PinnedFile, ...] = ()  # empty: not pinned
+
+    @property
+    def presets(self) -> tuple[str, ...]:
+        """The presets whose clips show it."""
+        return tuple(
+            preset.name
+            for preset in PRESETS.values()
+            if any(self.name in (clip, clip.rpartition("-")[0]) for clip in preset.scenes)
+        )
+
+    @property
+    def bytes(self) -> int:
+        """Size of the pinned files, of those whose size is known."""
+        return sum(file.bytes or 0 for file in self.files)
+
+
+@dataclass(frozen=True)
+class LocatedScene:
+    """A scene on this machine, whole or in part."""
+
+    entry: CollectionScene
+    scene: Path  # of scene.xml
+    missing: tuple[str, ...]  # pinned files that are absent or of another size, as in scene.xml
+
+
+@dataclass(frozen=True)
+class _Listed:
+    """A table of catalog.toml."""
+
+    title: str
+    author: str
+    licence: str
+    source: str
+    repository: str = ""
+    commit: str = ""
+    folder: str = ""
+
+
+def load_catalog() -> dict[str, CollectionScene]:
+    """All scenes by name: those that ship, then those that the user pinned.
+
+    A pin of the user, in the folder `scenes/pins` of the cache, adds files to a scene that ships
+    without a pin, or a scene of its own. Raises SceneError for a file that is no pin.
+    """
+    document = documents.read_toml(CATALOG)
+    listed = {name: documents.decode(table, _Listed) for name, table in document.items()}
+    own = sorted(pins_folder().glob("*.tsv"))
+    pin_files = {file.stem: file for file in (*own, *SHIPPED_PINS.glob("*.tsv"))}
+    return {
+        name: _describe(name, listed.get(name), pin_files.get(name))
+        for name in dict.fromkeys((*listed, *pin_files))
+    }
+
+
+def find_scene(name: str) -> CollectionScene:
+    """The scene of this name. Raises SceneError, which names the nearest one, where none has it."""
+    catalog = load_catalog()
+    if name not in catalog:
+        raise SceneError(unknown_name(f"no scene '{name}' in the collection", name, catalog))
+    return catalog[name]
+
+
+def find_located(entry: CollectionScene) -> LocatedScene | None:
+    """Where a scene lies: in the mirror that RLBENCH_SCENES names, or downloaded; None if nowhere.
+
+    Where both have it, the one that misses fewer files, the mirror first. Files are compared by
+    existence and size, not by content.
+    """
+    found = [
+        LocatedScene(entry, folder / SCENE_FILE, _missing_files(entry, folder))
+        for folder in _folders(entry.name)
+        if (folder / SCENE_FILE).is_file()
+    ]
+    return min(found, key=lambda each: len(each.missing), default=None)
+
+
+def locate(name: str) -> LocatedScene:
+    """Where a scene lies, as `find_located`, by its name.
+
+    Raises SceneError for an unknown name and for a scene that lies nowhere.
+    """
+    entry = find_scene(name)
+    if located := find_located(entry):
+        return located
+    get = f"rlbench scenes get {name}"
+    command = f"`{get}`" if entry.files else f"`rlbench scenes pin {name}`, then `{get}`"
+    raise SceneError(
+        f"scene {name} lies in none of {', '.join(map(str, _folders(name)))}: run {command}, or "
+        f"set {MIRROR_VARIABLE} to a folder that has {name}/{SCENE_FILE}"
+    )
+
+
+def digest(located: LocatedScene) -> str:
+    """Hash of the files that are there, by their pin: 16 hex digits.
+
+    No file is read, so a file that was edited is not noticed. A scene without a pin counts with the
+    content of its scene.xml.
+    """
+    missing = set(located.missing)
+    lines = [f"{file.path} {file.blob}" for file in located.entry.files if file.path not in missing]
+    if not located.entry.files:
+        lines = [hashlib.sha256(located.scene.read_bytes()).hexdigest()]
+    return hashlib.sha256("\n".join(sorted(lines)).encode()).hexdigest()[:16]
+
+
+def describe_state(entry: CollectionScene, located: LocatedScene | None) -> str:
+    """What of a scene is here: complete, partial: N files missing, not downloaded, not pinned."""
+    if not entry.files:
+        return "not pinned"
+    if located is None:
+        return "not downloaded"
+    missing = len(located.missing)
+    return f"partial: {missing} file{'s' * (missing > 1)} missing" if missing else "complete"
+
+
+def credit(entry: CollectionScene) -> str:
+    """Who made a scene, under which licence, and where its files are from, as Markdown."""
+    licence = entry.licence
+    licence += f" ({LICENCES[licence]})" if licence in LICENCES else ""
+    return (
+        f"# {entry.title}\n\n"
+        f"By {entry.author}. Licence: {licence}. Original: {entry.source}\n\n"
+        f"The files are unchanged copies from https://github.com/{entry.repository}/tree/"
+        f"{entry.commit}/{entry.folder}\n"
+    )
+
+
+def mirror_folder() -> Path | None:
+    """The folder of scenes that the variable RLBENCH_SCENES names, if it is set."""
+    folder = os.environ.get(MIRROR_VARIABLE)
+    return Path(folder).expanduser() if folder else None
+
+
+def pins_folder() -> Path:
+    """The folder of pins that the user made."""
+    return paths.scenes_folder() / "pins"
+
+
+def own_pin_file(name: str) -> Path:
+    """The file for a pin of the user. Raises SceneError for a scene that ships with a pin."""
+    if (SHIPPED_PINS / f"{name}.tsv").exists():
+        raise SceneError(f"scene {name} is pinned already. To write another pin: --out FILE")
+    return pins_folder() / f"{name}.tsv"
+
+
+def place_of(entry: CollectionScene) -> str:
+    """Where a scene's files come from, as OWNER/REPOSITORY@COMMIT:FOLDER."""
+    return f"{entry.repository}@{entry.commit}:{entry.folder}"
+
+
+def _describe(name: str, listed: _Listed | None, pin_file: Path | None) -> CollectionScene:
+    """A scene of the catalog, of a pin, or of both."""
+    pinned = read_pin(pin_file) if pin_file else None
+    if listed is None:
+        assert pinned is not None
+        source = f"https://github.com/{pinned.repository}"
+        listed = _Listed(name, "unknown", UNKNOWN_LICENCE, source)
+    place = pinned or Pin(listed.repository, listed.commit, listed.folder)
+    return CollectionScene(name=name, **{**asdict(listed), **vars(place)})
+
+
+def _folders(name: str) -> list[Path]:
+    """Where a scene may lie, in the order of preference."""
+    return [base / name for base in (mirror_folder(), paths.scenes_folder()) if base]
+
+
+def _missing_files(entry: CollectionScene, folder: Path) -> tuple[str, ...]:
+    return tuple(file.path for file in entry.files if not _is_there(file, folder / file.path))
+
+
+def _is_there(file: PinnedFile, path: Path) -> bool:
+    """Is there a file of the pinned size?"""
+    try:
+        size = path.stat().st_size
+    except OSError:
+        return False
+    return path.is_file() and file.bytes in (None, size)

@@ -1,0 +1,96 @@
+"""Scenes by others as scene plugins: `living-room` and, for each seed, `living-room-007`."""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Callable
+from dataclasses import replace
+
+from rlbench.render.mitsuba import llvm
+from rlbench.render.mitsuba.xml_scene import REPAIRS_VERSION
+from rlbench.render.presets import get_preset
+from rlbench.render.scene import Camera, Scene, XmlFile
+from rlbench.render.user.clip import UserSceneOptions, plan_clip
+from rlbench.render.user.scene_file import open_scene_file
+from rlbench.render.user.wander import WANDER_VERSION
+from rlbench.scenes.collection.catalog import LocatedScene, digest, locate
+
+__all__ = ["collection_scene"]
+
+
+def collection_scene(name: str, seed: int | None = None) -> Scene:
+    """A scene of the collection: a dolly from its own camera or, with `seed`, a random path.
+
+    Nothing is traced before `Scene.inspected`. Shapes whose files are missing are left out and
+    recorded. Raises SceneError for a scene that is not on this machine.
+
+    >>> collection_scene("no-such-scene")
+    Traceback (most recent call last):
+        ...
+    rlbench.render.scene.SceneError: no scene 'no-such-scene' in the collection; ...
+    """
+    located = locate(name)
+    entry = located.entry
+    source = f"{digest(located)} {REPAIRS_VERSION} {WANDER_VERSION} {name} {seed}"
+    described = Scene(
+        name,
+        entry.title,
+        (),
+        lambda time: Camera((0, 0, 0), (0, 0, 1)),  # until it is inspected
+        xml_file=XmlFile(located.scene, (), bool(located.missing)),
+        source_hash=hashlib.blake2b(source.encode(), digest_size=16).hexdigest(),
+        licence=f"{entry.licence}, '{entry.title}' by {entry.author}, {entry.source}",
+        missing_files=located.missing,
+    )
+
+    def inspect(frames: int, size: tuple[int, int]) -> Scene:
+        chosen = _inspect(located, seed, frames, size)
+        return replace(
+            described,
+            camera=chosen.camera,
+            exposure=chosen.exposure,
+            max_depth=chosen.max_depth,
+            missing_files=chosen.missing_files,
+        )
+
+    return replace(described, inspect=inspect)
+
+
+def _inspect(located: LocatedScene, seed: int | None, frames: int, size: tuple[int, int]) -> Scene:
+    options = UserSceneOptions(
+        file=located.scene,
+        camera="dolly" if seed is None else "wander",
+        frames=frames,
+        size=size,
+        seed=seed,
+        skip_missing=bool(located.missing),
+    )
+    llvm.select_variant()
+    user_scene = open_scene_file(options.file, options.parameters, options.skip_missing)
+    job, _ = plan_clip(options, user_scene, get_preset("mini"))
+    return job.scene.inspected(frames, size)
+
+
+def _plugin(name: str) -> Callable[[int | None], Scene]:
+    """The scene plugin of a name, with an optional seed."""
+
+    def scene(seed: int | None = None) -> Scene:
+        return collection_scene(name, seed)
+
+    return scene
+
+
+# entry points in the group rlbench.scenes
+bathroom = _plugin("bathroom")
+bathroom2 = _plugin("bathroom2")
+classroom = _plugin("classroom")
+dining_room = _plugin("dining-room")
+kitchen = _plugin("kitchen")
+living_room = _plugin("living-room")
+living_room_2 = _plugin("living-room-2")
+spaceship = _plugin("spaceship")
+staircase = _plugin("staircase")
+staircase2 = _plugin("staircase2")
+veach_ajar = _plugin("veach-ajar")
+veach_bidir = _plugin("veach-bidir")
+veach_mis = _plugin("veach-mis")
