@@ -91,7 +91,7 @@ def scene_facts() -> list[SceneFacts]:
     """The test scenes, then the generators of scenes.
 
     >>> [scene.name for scene in scene_facts()]
-    ['city', 'temple', 'hall', 'ripples', 'generated', 'eventful']
+    ['city', 'temple', 'hall', 'ripples', 'generated', 'eventful', 'hard']
     """
     return [
         *(_scene_facts(name, registry.load_plugin("scenes", name)()) for name in TEST_SCENES),

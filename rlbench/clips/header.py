@@ -234,6 +234,8 @@ def names_in_digests(names: Iterable[str]) -> tuple[str, ...]:
 def write_header(folder: Path, header: Header) -> None:
     """Write clip.toml atomically. Call it last: it marks the clip as finished."""
     values = {field.name: getattr(header, field.name) for field in fields(Header)}
+    if not header.missing_files:
+        del values["missing_files"]  # only a scene by others may lack files
     write_toml(folder / FILE, {"version": VERSION} | values)
 
 

@@ -46,7 +46,11 @@ TRAIN_REAL = tuple(
     for seed in range(paths)
 )
 PATH_AND_RESTIR = ("path", "restir")  # entry points in the group rlbench.pools
-GENERATORS = ("generated", "eventful")  # scene entry points that take a seed; clips <name>-<seed>
+GENERATORS = (
+    "generated",
+    "eventful",
+    "hard",
+)  # scene entry points that take a seed; clips <name>-<seed>
 TakeSelection = Literal["main", "all"]
 PresetUse = Literal["train", "decide", "report"]
 
@@ -207,6 +211,19 @@ PRESETS = {
             tuple(range(128, 278)),
             generator="eventful",
             uses=("train", "decide"),
+        ),
+        Preset(
+            "train-hard",
+            "training: furnished interiors with indirect light, small lamps, metals and glass",
+            (160, 160),
+            8,
+            32,
+            (),
+            tuple(range(1000, 1120)),
+            generator="hard",
+            is_test_set=False,
+            min_noise_ceiling_db=32.0,
+            max_reference_rounds=4,
         ),
         Preset(
             "development",

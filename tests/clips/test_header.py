@@ -53,6 +53,13 @@ def test_light_changes_come_back(tmp_path):
     assert read_header(tmp_path).light_changes == (1,)
 
 
+@pytest.mark.parametrize("files", [(), ("models/chair.obj", "wood.png")])
+def test_missing_files_come_back_and_are_written_only_if_there_are_any(tmp_path, files):
+    write_header(tmp_path, replace(HEADER, missing_files=files))
+    assert read_header(tmp_path).missing_files == files
+    assert ("missing_files" in (tmp_path / "clip.toml").read_text()) == bool(files)
+
+
 @pytest.mark.parametrize("frame", [0, FRAMES])
 def test_a_light_change_at_frame_0_or_beyond_the_end_is_an_error(frame):
     with pytest.raises(ClipError, match="light_changes are .*; expected frames from 1 to 1"):

@@ -20,6 +20,7 @@ __all__ = [
     "image_seed",
     "inspect_job",
     "render_job",
+    "wander_job",
 ]
 
 WORKER_VERSION = 1  # raised whenever the worker renders different pixels for the same file
@@ -147,6 +148,18 @@ def render_job(
         "geometry": geometry,
         "renders": [image.json for image in images],
     }
+
+
+def wander_job(
+    file: Path, walks: list[Float[Array, "frames 4 4"]], fov: float, seed: int
+) -> dict[str, Any]:
+    """A job that renders nothing and places each walk in a room of a scene file.
+
+    Walks are camera-to-start in Blender's convention; `fov` is horizontal, in degrees.
+    """
+    moves = [walk.tolist() for walk in walks]
+    job = inspect_job(file, 0, None, CyclesParameters())
+    return job | {"wander": {"seed": seed, "fov": fov, "moves": moves}}
 
 
 def convert_axes(matrix: Float[Array, "4 4"]) -> Float[Array, "4 4"]:

@@ -90,8 +90,8 @@ def describe_missing_files(missing: MissingFiles) -> list[str]:
     notes = []
     for kind, names in missing.items():
         unique = list(dict.fromkeys(names))
-        shown = ", ".join(unique[:SHOWN]) + ", ..." * (len(unique) > SHOWN)
-        notes.append(f"{kind}, because files are missing: {len(names)} ({shown})")
+        listed = ", ".join(unique[:SHOWN]) + ", ..." * (len(unique) > SHOWN)
+        notes.append(f"{kind}, because files are missing: {len(names)} ({listed})")
     return notes
 
 

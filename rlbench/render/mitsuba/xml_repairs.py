@@ -45,7 +45,7 @@ def repair_text(text: str) -> tuple[str, list[str]]:
     >>> repair_text('<rgb name="reflectance" value="#ff0080"/>')[0]
     '<rgb name="reflectance" value="1 0 0.215861"/>'
     """
-    changed = []
+    count = 0
 
     def to_linear(match: re.Match[str]) -> str:
         element, attributes, quote, value = match.groups()
@@ -55,13 +55,12 @@ def repair_text(text: str) -> tuple[str, list[str]]:
             colour = [float(v) for v in value.replace(",", " ").split()]
         else:
             return match[0]
-        changed.append(value)
+        nonlocal count
+        count += 1
         return f"<rgb{attributes}value={quote}{_decode_srgb(colour)}{quote}"
 
     repaired = COLOR.sub(to_linear, text)
-    return repaired, [f"{len(changed)} sRGB colours are converted to linear numbers"] * bool(
-        changed
-    )
+    return repaired, [f"{count} sRGB colours are converted to linear numbers"] if count else []
 
 
 def repair_nodes(state: Any) -> Notes:
@@ -69,14 +68,12 @@ def repair_nodes(state: Any) -> Notes:
 
     The nodes must have been upgraded, and their references resolved.
     """
-    import mitsuba as mi
-
     notes: Notes = {}
     for index in range(len(state.nodes)):  # nodes that repairs append need none
         node = state.nodes[index]
         plugin, where = node.props.plugin_name(), line(state, node)
         if plugin in ("sky", "sun", "sunsky"):
-            is_y_up = state.versions[node.file_index] < mi.Version(3, 0, 0)
+            is_y_up = int(str(state.versions[node.file_index]).split(".")[0]) < 3
             found = _repair_sky(node, is_y_up)
         elif plugin in ("ward", "phong"):
             found = [f"BSDF {plugin} is rendered as {_split_lobes(state, index)}"]
@@ -140,10 +137,9 @@ def _repair_sky(node: Any, is_y_up: bool) -> list[str]:
     if found.get("sun_radius_scale", 0.0):  # 0 is a directional light
         props["sun_aperture"] = SUN_APERTURE * found["sun_radius_scale"]
         del props["sun_radius_scale"]
-    notes = ["the sun is below the horizon"] * is_night(node)
-    return notes + ["the azimuth of the sun may differ"] * (
-        "sun_direction" not in found and is_y_up
-    )
+    if "sun_direction" in found:
+        return ["the sun is below the horizon"] * is_night(node)
+    return ["the azimuth of the sun may differ"] * is_y_up
 
 
 def _repair_bitmap(node: Any) -> list[str]:

@@ -19,7 +19,7 @@ __all__ = ["XmlSettings", "build_scene", "named_meshes", "read_settings"]
 MAX_DEPTH = 8  # longest light path, in edges, if the file has no integrator
 PATH_INTEGRATORS = ("path", "direct")  # integrators that trace the same light paths as rlbench
 FILM = {"width": 768, "height": 576}  # pixels, Mitsuba's default
-REPAIRS_VERSION = 2  # raised whenever `xml_repairs` changes what is rendered
+REPAIRS_VERSION = 1  # raised whenever `xml_repairs` changes what is rendered
 
 
 @dataclass(frozen=True, eq=False)

@@ -33,13 +33,13 @@ def draw_lighting(rng: Generator, place: Place, light_kind: str) -> Lighting:
 
     The estimate assumes a grey place: an integrating sphere under a roof, else open ground.
     """
-    sky, to_sun, sun_irradiance, sky_radiance = _draw_sky(rng, place, light_kind)
+    sky, to_sun, sun_irradiance, sky_radiance = draw_sky(rng, place, light_kind)
     lamps = []
     if light_kind == "bulbs":
         lamps = [_draw_bulbs(rng, place)]
     elif light_kind == "lamps" or (place.has_roof and rng.random() < 0.6):
         lamps = [_draw_lamps(rng, place, 1.0 if light_kind == "lamps" else 0.3)]
-    flux = sum(map(_emitted_flux, lamps))
+    flux = sum(map(emitted_flux, lamps))
     if place.has_roof:
         x, y = 2 * place.half_size[0], 2 * place.half_size[1]
         area = 2 * x * y + 2 * (x + y) * (place.lamp_height - place.floor_height)
@@ -54,7 +54,7 @@ def draw_lighting(rng: Generator, place: Place, light_kind: str) -> Lighting:
     return Lighting(float(mean_radiance), sky, tuple(lamps), has_small_sources)
 
 
-def _draw_sky(
+def draw_sky(
     rng: Generator, place: Place, light_kind: str
 ) -> tuple[tuple[MitsubaDict, ...], Float64Array, float, float]:
     """Sky emitters, direction to the sun [3], irradiance by the sun, and radiance of the sky."""
@@ -69,7 +69,7 @@ def _draw_sky(
         scale = {"sun_scale": 10.0, "sky_scale": 10.0, "turbidity": float(rng.uniform(2.5, 6))}
         return (plugin | scale,), to_sun, 11.0, 0.9  # measured at elevations of 15 to 60 degrees
     night = light_kind in ("lamps", "bulbs")
-    tint = _draw_white(rng) * (rng.uniform(0.01, 0.1) if night else 1)
+    tint = draw_white(rng) * (rng.uniform(0.01, 0.1) if night else 1)
     sky: tuple[MitsubaDict, ...] = ({"type": "constant", "radiance": rgb_texture(tint)},)
     sky_radiance = float(tint @ REC709_LUMINANCE)
     if light_kind != "sun":
@@ -84,7 +84,7 @@ def _draw_sky(
     )
 
 
-def _draw_white(rng: Generator) -> Float64Array:
+def draw_white(rng: Generator) -> Float64Array:
     """A random white [3] between warm and cool."""
     return np.array([1, 1, 1]) + rng.uniform(-1, 1) * np.array([0.2, 0, -0.3])
 
@@ -104,7 +104,7 @@ def _draw_lamps(rng: Generator, place: Place, scale: float) -> Mesh:
             transform(down, [*rng.uniform(-spread, spread), place.lamp_height - drop], slant)
         )
     power = rng.uniform(4, 12) * scale / place.lamp_scale**2
-    return _emissive_mesh("lamps", merge(*lamps), rgb_texture(_draw_white(rng) * power))
+    return emissive_mesh("lamps", merge(*lamps), rgb_texture(draw_white(rng) * power))
 
 
 def _draw_bulbs(rng: Generator, place: Place) -> Mesh:
@@ -133,7 +133,7 @@ def _draw_bulbs(rng: Generator, place: Place) -> Mesh:
     power = 6 * 2 ** rng.uniform(-1, 1, (count, 1))
     atlas = (hues[rng.integers(len(hues), size=count)] * power).reshape(rows, columns, 3)
     bitmap = {"type": "bitmap", "data": atlas.astype(np.float32), "raw": True}
-    return _emissive_mesh("bulbs", shape, bitmap | {"filter_type": "nearest", "wrap_mode": "clamp"})
+    return emissive_mesh("bulbs", shape, bitmap | {"filter_type": "nearest", "wrap_mode": "clamp"})
 
 
 def _bulbs_on_walls(rng: Generator, place: Place, count: int) -> tuple[Float64Array, Float64Array]:
@@ -158,13 +158,14 @@ def _bulbs_around(rng: Generator, place: Place, count: int) -> tuple[Float64Arra
     return positions, inward / np.linalg.norm(inward, axis=-1, keepdims=True)
 
 
-def _emissive_mesh(name: str, shape: Shape, radiance: MitsubaDict) -> Mesh:
+def emissive_mesh(name: str, shape: Shape, radiance: MitsubaDict) -> Mesh:
+    """A dark mesh that emits `radiance` from its front."""
     black: MitsubaDict = {"type": "diffuse", "reflectance": rgb_texture(np.full(3, 0.1))}
     emission = {"type": "area", "radiance": radiance}
     return Mesh(name, shape.vertices, shape.faces, black, shape.uv, emission)
 
 
-def _emitted_flux(lamp: Mesh) -> float:
+def emitted_flux(lamp: Mesh) -> float:
     """Flux that a lamp emits: mean luminance x area x pi."""
     p, q, r = (lamp.vertices[lamp.faces[:, k]].astype(float) for k in range(3))
     area = np.linalg.norm(np.cross(q - p, r - p), axis=-1) / 2

@@ -35,20 +35,23 @@ def random_texture(
     rng: Generator, darkest: float = 0.15, max_saturation: float = 0.7
 ) -> MitsubaDict:
     """A random tiling texture of two colours: checker, stripes, bricks or cloudy noise."""
-    pattern = (_checker_pattern, _stripe_pattern, _brick_pattern, _cloud_noise)[rng.integers(4)](
-        rng
-    )
+    pattern = PATTERNS[rng.integers(len(PATTERNS))](rng)
     first, second = (
         random_colour(rng, max(darkest, 0.4), 0.85, max_saturation),
         random_colour(rng, 0.7 * darkest, 0.7, max_saturation),
     )
-    grain = 1 - rng.uniform(0, 0.25) * _cloud_noise(rng)
+    grain = 1 - rng.uniform(0, 0.25) * cloud_noise(rng)
     tile = (second + pattern[..., None] * (first - second)) * grain[..., None]
+    return tile_texture(tile)
+
+
+def tile_texture(tile: Float64Array, filter_type: str = "bilinear") -> MitsubaDict:
+    """A repeating bitmap of linear reflectances [h w 3], clipped to [0.02, 0.9]."""
     return {
         "type": "bitmap",
         "data": np.clip(tile, 0.02, 0.9).astype(np.float32),
         "raw": True,
-        "filter_type": "bilinear",
+        "filter_type": filter_type,
         "wrap_mode": "repeat",
     }
 
@@ -76,9 +79,12 @@ def _brick_pattern(rng: Generator) -> Float64Array:
     return np.asarray(inside * shade, float)
 
 
-def _cloud_noise(rng: Generator, size: int = TEXTURE_SIZE) -> Float64Array:
+def cloud_noise(rng: Generator, size: int = TEXTURE_SIZE) -> Float64Array:
     """Cloudy noise in [0, 1] that tiles: white noise filtered by frequency ** -slope."""
     frequency = np.hypot(np.fft.fftfreq(size)[:, None], np.fft.fftfreq(size)) * size
     spectrum = np.fft.fft2(rng.normal(size=(size, size)))
     cloud = np.fft.ifft2(spectrum / np.maximum(frequency, 2) ** rng.uniform(1, 2)).real
     return np.asarray((cloud - cloud.min()) / np.ptp(cloud))
+
+
+PATTERNS = (_checker_pattern, _stripe_pattern, _brick_pattern, cloud_noise)  # [t t] in [0, 1]

@@ -4,8 +4,8 @@ SPDX-License-Identifier: GPL-3.0-or-later
 
 This file imports bpy, which is Blender and GPL; see LICENSE and README.md beside it. It runs in its
 own process, `python -I worker.py job.json`, and needs nothing but bpy. Events go to standard
-output, one JSON object per line: hello, opened, made (one for each file), done, or error. Blender's
-output goes to standard error. README.md describes the job.
+output, one JSON object per line: hello, opened, placed, made (one for each file), done, or error.
+Blender's output goes to standard error. README.md describes the job.
 
 The camera's matrices are camera-to-world in Blender's convention: it looks along -z, y is up, x is
 to the right. Frame i of a job is frame start + i of the scene; matrices cover -1, 0, ... frames.
@@ -102,12 +102,15 @@ def render(scene: Any, plan: dict[str, Any], geometry: bool, start: int) -> None
 
 
 def work(job: dict[str, Any]) -> None:
-    """Open the scene, describe it, and render the images of the job."""
+    """Open the scene, then describe it, place cameras in it, or render the images of the job."""
     tell("hello", blender=bpy.app.version_string)
     file = Path(job["scene"])
     load(file)
     scene = bpy.context.scene
     start = blender_scene.first_frame(scene, file) if job["start"] is None else job["start"]
+    if job.get("wander"):
+        tell("placed", **blender_wander.place_paths(scene, job["wander"], start))
+        return
     if not job["renders"]:
         tell("opened", **blender_scene.describe(scene, job, start))
         return
@@ -122,6 +125,7 @@ if __name__ == "__main__":
         sys.path.insert(0, str(Path(__file__).parent))  # -I leaves it out
         import blender_scene
         import blender_settings
+        import blender_wander
         import bpy
     except ImportError as missing:
         tell("error", kind="missing", message=str(missing))

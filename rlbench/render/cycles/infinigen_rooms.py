@@ -1,0 +1,246 @@
+"""Procedural rooms by Infinigen as clips: environment, generation, camera paths, rendering.
+
+    python -m rlbench.render.cycles.infinigen_rooms FOLDER --rooms LivingRoom:1,Kitchen:2
+
+Infinigen (Raistrick et al. 2024, Infinigen Indoors: Photorealistic Indoor Scenes using Procedural
+Generation) runs in a Python environment and a process of its own, and so does Blender. Finished
+rooms, camera paths and clips are kept, so an interrupted command resumes; a killed generation of a
+room begins again.
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+import shutil
+import subprocess
+import sys
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from rlbench.errors import OptionError, RlbenchError
+from rlbench.render.cycles import process
+from rlbench.render.cycles.clip import ensure_cycles
+from rlbench.render.cycles.room_cameras import place_cameras
+from rlbench.render.presets import Preset
+from rlbench.render.user.clip import UserSceneOptions
+from rlbench.system.folder_lock import locked_folder
+
+__all__ = [
+    "KINDS",
+    "InfinigenError",
+    "Room",
+    "ensure_environment",
+    "generate_room",
+    "generation_command",
+    "parse_rooms",
+    "render_room",
+]
+
+INFINIGEN = "infinigen==1.15.5"  # of PyPI: wheels for Python 3.11
+REQUIREMENTS = (  # Infinigen's own, but for scikit-image, whose releases below 0.20 have no wheels
+    *("bpy==4.2.0", "coacd", "gin_config>=0.5.0", "imageio<2.32.0", "matplotlib", "networkx"),
+    *("numpy<2", "opencv-python<4.9.0", "pandas", "psutil", "scikit-image<0.23", "scipy"),
+    *("scikit-learn<1.4.0", "shapely<=2.0.5", "tqdm", "trimesh<3.23.0", "OpenEXR", "submitit"),
+    *("geomdl", "python-fcl", "rtree"),
+)
+KINDS = ("LivingRoom", "Kitchen", "Bedroom", "Bathroom", "DiningRoom")
+SIX_ROOMS = "LivingRoom:1,Kitchen:2,Bedroom:3,Bathroom:4,DiningRoom:5,LivingRoom:6"
+LOG_TAIL_LINES = 12  # in error messages
+
+
+class InfinigenError(RlbenchError, RuntimeError):
+    """Infinigen cannot be installed, or generated no room."""
+
+
+@dataclass(frozen=True)
+class Room:
+    """One room: what it is for, the seed that it is made from, and the folder of all rooms."""
+
+    kind: str
+    seed: int
+    rooms_folder: Path
+
+    @property
+    def name(self) -> str:
+        """Kind and seed, as in the names of files and clips."""
+        return f"{self.kind.lower()}-{self.seed}"
+
+    @property
+    def folder(self) -> Path:
+        """Where the room's files are."""
+        return self.rooms_folder / self.name
+
+    @property
+    def blend(self) -> Path:
+        """The finished scene."""
+        return self.folder / f"{self.name}.blend"
+
+
+def parse_rooms(text: str, folder: Path) -> list[Room]:
+    """Rooms from `Kind:seed,Kind:seed`. Raises OptionError for unknown kinds and seeds.
+
+    >>> [room.name for room in parse_rooms("Kitchen:2,bathroom:3", Path("rooms"))]
+    ['kitchen-2', 'bathroom-3']
+    """
+    kinds = {kind.lower(): kind for kind in KINDS}
+    rooms = []
+    for item in text.split(","):
+        kind, _, seed = item.strip().partition(":")
+        if kind.lower() not in kinds or not seed.isascii() or not seed.isdigit():
+            raise OptionError(
+                f"--rooms: {item.strip()!r} is no room. Write Kind:seed, such as Kitchen:2; kinds "
+                f"are {', '.join(KINDS)}, seeds are whole numbers from 0"
+            )
+        rooms.append(Room(kinds[kind.lower()], int(seed), folder))
+    return rooms
+
+
+def ensure_environment(folder: Path, package: str, requirements: Sequence[str] = ()) -> Path:
+    """The Python of a virtual environment with `package`, such as `infinigen==1.15.5`.
+
+    It is created in `folder` if it is not there; pip writes to a log beside it. `requirements`
+    replace those that the package names. Raises InfinigenError if there is no Python 3.11, or if
+    pip fails.
+    """
+    python = folder / "bin" / "python"
+    finished = folder / "installed.txt"
+    if finished.is_file() and finished.read_text() == package:
+        return python
+    base = sys.executable if sys.version_info[:2] == (3, 11) else shutil.which("python3.11")
+    if not base:
+        raise InfinigenError(
+            f"{package} needs Python 3.11, and there is no python3.11 on the PATH. Install it"
+        )
+    log = folder.with_suffix(".log")
+    _run([base, "-m", "venv", str(folder)], log, f"creating {folder}")
+    pip = [str(python), "-m", "pip", "install"]
+    if requirements:
+        _run([*pip, "--only-binary", ":all:", *requirements], log, f"requirements of {package}")
+        pip.append("--no-deps")
+    _run([*pip, package], log, f"pip install {package}")
+    finished.write_text(package)
+    return python
+
+
+def generation_command(python: Path, room: Room, output: Path) -> list[str]:
+    """The command by which Infinigen generates one room: no terrain outside, lamps are on."""
+    return [
+        *(str(python), "-m", "infinigen_examples.generate_indoors"),
+        *("--seed", str(room.seed), "--task", "coarse", "--output_folder", str(output)),
+        *("-g", "fast_solve.gin", "singleroom.gin"),
+        *("-p", "compose_indoors.terrain_enabled=False", "compose_indoors.lights_off_chance=0"),
+        f'restrict_solving.restrict_parent_rooms=["{room.kind}"]',
+    ]
+
+
+def generate_room(python: Path, room: Room) -> Path:
+    """The .blend file of a room, after generating it if it does not exist.
+
+    `python` has infinigen. Its output goes to `generate.log` in the room's folder. Raises
+    InfinigenError if it fails, with the end of the log, and FolderInUseError if another process
+    generates the same room.
+    """
+    if room.blend.is_file():
+        return room.blend
+    with locked_folder(room.folder):
+        output = (room.folder / "unfinished").absolute()
+        shutil.rmtree(output, ignore_errors=True)
+        log = room.folder / "generate.log"
+        command = generation_command(python, room, output)
+        packages = python.parents[1] / "lib" / "python3.11" / "site-packages"
+        # Infinigen's settings include files relative to the folder in which it runs
+        _run(command, log, f"generating {room.name}", packages)
+        scene = output / "scene.blend"
+        if not scene.is_file():
+            raise InfinigenError(f"generating {room.name} wrote no {scene}{_log_tail(log)}")
+        scene.replace(room.blend)
+        shutil.rmtree(output)
+    return room.blend
+
+
+def render_room(room: Room, walks: int, frames: int, size: tuple[int, int], spp: int) -> list[Path]:
+    """The clip folders of a generated room, one for each random camera path.
+
+    `size` is height and width in pixels, `spp` the samples of each half of a reference. Clips lie
+    in `clips`, beside the rooms. Raises the errors of `place_cameras` and `ensure_cycles`.
+    """
+    preset = Preset("infinigen", "rooms by Infinigen", size, frames, spp)
+    clips = []
+    for path in place_cameras(room.blend, room.folder, walks, frames, room.seed):
+        out = room.rooms_folder / "clips" / f"{room.name}-{path.stem}"
+        options = UserSceneOptions(room.blend, str(path), frames=frames, size=size, out=out)
+        clips.append(ensure_cycles(options, preset, _report))
+        _report(str(clips[-1]))
+    return clips
+
+
+def _run(command: Sequence[str], log: Path, task: str, folder: Path | None = None) -> None:
+    """Run a command, in `folder` if given, and add its output to `log`.
+
+    Raises InfinigenError, with the end of the log, if it fails.
+    """
+    log.parent.mkdir(parents=True, exist_ok=True)
+    with log.open("ab") as stream:
+        code = subprocess.run(
+            command, stdin=subprocess.DEVNULL, stdout=stream, stderr=subprocess.STDOUT, cwd=folder
+        ).returncode
+    if code:
+        raise InfinigenError(f"{task} ended with exit code {code}{_log_tail(log)}")
+
+
+def _log_tail(log: Path) -> str:
+    lines = log.read_text(errors="replace").splitlines()[-LOG_TAIL_LINES:]
+    return f". The end of {log}:" + "".join(f"\n  {line}" for line in lines)
+
+
+def main(arguments: Sequence[str] | None = None) -> None:
+    """Generate and render rooms from the command line."""
+    parser = argparse.ArgumentParser(description="Clips of procedural rooms by Infinigen.")
+    parser.add_argument("folder", type=Path, help="for rooms, clips and environments")
+    parser.add_argument("--rooms", default=SIX_ROOMS, help="Kind:seed,...; default: %(default)s")
+    parser.add_argument("--rooms-only", action="store_true", help="generate rooms, render no clips")
+    parser.add_argument("--walks", type=int, default=1, help="clips of each room")
+    parser.add_argument("--frames", type=int, default=4, help="of each clip")
+    parser.add_argument("--size", type=int, default=160, help="width and height in pixels")
+    parser.add_argument("--spp", type=int, default=32, help="of each half of a reference")
+    options = parser.parse_args(arguments)
+    folder = options.folder.expanduser().absolute()
+    size = (options.size, options.size)
+    failures = []
+    try:
+        rooms = parse_rooms(options.rooms, folder)
+        python = _prepare(folder, rooms, not options.rooms_only)
+    except RlbenchError as error:
+        raise SystemExit(f"error: {error}") from error
+    for room in rooms:
+        try:
+            _report(str(generate_room(python, room)))
+            if not options.rooms_only:
+                render_room(room, options.walks, options.frames, size, options.spp)
+        except RlbenchError as error:  # the other rooms can still be made
+            _report(f"error: {room.name}: {error}")
+            failures.append(room.name)
+    if failures:
+        raise SystemExit(f"{len(failures)} of {len(rooms)} rooms failed: {', '.join(failures)}")
+
+
+def _prepare(folder: Path, rooms: list[Room], renders: bool) -> Path:
+    """Create the environments that are needed; returns the Python of Infinigen's."""
+    python = folder / "infinigen" / "bin" / "python"
+    if not all(room.blend.is_file() for room in rooms):
+        python = ensure_environment(folder / "infinigen", INFINIGEN, REQUIREMENTS)
+    if renders and not process.bpy_version():
+        bpy = f"bpy=={process.TESTED_BPY_VERSION}"
+        os.environ[process.PYTHON_VARIABLE] = str(ensure_environment(folder / "cycles", bpy))
+    return python
+
+
+def _report(message: str) -> None:
+    sys.stdout.write(message + "\n")
+    sys.stdout.flush()
+
+
+if __name__ == "__main__":
+    main()
