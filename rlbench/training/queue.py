@@ -256,6 +256,7 @@ class Queue:
     def _start(self, training: Training) -> None:
         training.folder.mkdir(parents=True, exist_ok=True)
         command = [sys.executable, "-m", "rlbench", "train", *training.words]
+        parent = os.getpid()
         with training.output.open("ab") as output:
             self._processes[training.name] = subprocess.Popen(
                 command,
@@ -264,7 +265,7 @@ class Queue:
                 stderr=subprocess.STDOUT,
                 env=os.environ | THREADS,
                 start_new_session=True,  # Ctrl-C in a terminal reaches the queue alone
-                preexec_fn=partial(_prepare_process, os.getpid()),
+                preexec_fn=partial(_become_child, parent),
             )
         self._set_row(training, "running")
         self.on_event(f"{training.name}: started; its output is in {training.output}")
@@ -396,8 +397,8 @@ def _last_line(file: Path) -> str:
     return next((line.strip() for line in reversed(lines) if line.strip()), "")
 
 
-def _prepare_process(parent: int) -> None:
-    """Called in a new process before it trains."""
+def _become_child(parent: int) -> None:
+    """What a new process does before it is a training."""
     _end_with(parent)
     _use_spare_time()
 
