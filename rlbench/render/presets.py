@@ -221,7 +221,7 @@ PRESETS = {
             (),
             tuple(range(1000, 1120)),
             generator="hard",
-            is_test_set=False,
+            uses=("train",),
             min_noise_ceiling_db=32.0,
             max_reference_rounds=4,
         ),

@@ -196,7 +196,7 @@ def test_an_old_sky_or_sun_is_one_part_of_a_sunsky(llvm, tmp_path, plugin, scale
     assert (found["sky_scale"], found["sun_scale"]) == scales
 
 
-def test_a_wider_sun_sends_the_same_light(llvm, tmp_path):
+def test_a_wider_sun_is_the_sun_with_its_light(llvm, tmp_path):
     def light(radius):
         sun = (
             '<emitter type="sun"><vector name="sunDirection" x="0" y="0.5" z="1"/>'
