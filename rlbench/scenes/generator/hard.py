@@ -54,7 +54,7 @@ def hard_scene(seed: int) -> Scene:
     rng = np.random.default_rng([0x4A2D, seed])
     packs = (LIGHTS, TREATMENTS, tuple(TONES), FLOORS, METALS, METALS, MOVES, MOTIONS, LEVELS)
     light, treatment, tone, floor, metal, steel, move, motion, level = (
-        deal(seed, pack, 16 + salt) for salt, pack in enumerate(packs)
+        deal(seed, pack, 80 + salt) for salt, pack in enumerate(packs)
     )
     interior = draw_interior(rng, light, treatment)
     place = interior.place
