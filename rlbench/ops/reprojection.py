@@ -99,8 +99,10 @@ def _sample(history: Tensor, x: Tensor, y: Tensor, mode: str) -> Tensor:
     grid = torch.stack(((2 * x + 1) / w - 1, (2 * y + 1) / h - 1), dim=-1)
     dtype = torch.promote_types(history.dtype, grid.dtype)  # half floats cannot index all pixels
     values, grid = history.to(dtype), grid.to(dtype)
-    # on a processor, grid_sample computes one image on one core: cut into strips, it uses all
-    strips = math.gcd(h, MAX_STRIPS) if len(history) == 1 else 1
+    # on a processor, grid_sample computes one image on one core: cut into strips, it uses all;
+    # on one thread, strips only make the backward pass sum a gradient for each of them
+    is_parallel = len(history) == 1 and torch.get_num_threads() > 1
+    strips = math.gcd(h, MAX_STRIPS) if is_parallel else 1
     warped = F.grid_sample(
         values.expand(strips, -1, -1, -1) if strips > 1 else values,
         grid.view(-1, h // strips, w, 2),
