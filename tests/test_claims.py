@@ -155,7 +155,7 @@ def check_uniform_on_real() -> None:
 
 def check_three_scenes_do_not_separate() -> None:
     header, *rows = read_rows("real.md", REAL_PSNR)
-    first, *others = (cells[header.index("1 spp")] for cells in rows[:8])
+    first, *others = (cells[header.index("1 spp")] for cells in rows[1:9])
     assert "[" not in first
     assert all(cell.endswith("not resolved") for cell in others)
 
