@@ -47,7 +47,7 @@ def test_clips_that_cannot_be_trained_on_are_refused(command, words, message):
 def test_no_test_set_is_trained_on(preset):
     output = rlbench("train", "-m", "oidn/retrained", "--preset", preset, code=2)
     assert f"error: preset '{preset}' is a test set" in output
-    assert output.endswith("Choose: train, train-eventful, train-hard")
+    assert output.endswith("Choose: train, train-eventful, train-hard, train-real")
 
 
 def test_no_seed_of_a_test_set_belongs_to_a_training_set():
