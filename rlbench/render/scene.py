@@ -113,15 +113,15 @@ class Scene:
     licence: str = "Apache-2.0"  # of the rendered images
     missing_files: tuple[str, ...] = ()  # of a user's scene, whose shapes or textures are left out
     # (frames, (height, width)) -> the scene with a camera path and an exposure chosen by rays
-    inspect: Callable[[int, tuple[int, int]], Scene] | None = None
+    inspector: Callable[[int, tuple[int, int]], Scene] | None = None
 
-    def inspected(self, frames: int, size: tuple[int, int]) -> Scene:
-        """The scene as it is rendered: with the camera path and exposure that `inspect` chooses.
+    def inspect(self, frames: int, size: tuple[int, int]) -> Scene:
+        """The scene as it is rendered: with the camera path and exposure that `inspector` chooses.
 
         Equal arguments give equal scenes. It may take seconds. Raises SceneError if no path or no
         light is found.
         """
-        return replace(self.inspect(frames, size), inspect=None) if self.inspect else self
+        return replace(self.inspector(frames, size), inspector=None) if self.inspector else self
 
     def light_changes(self, frames: int) -> tuple[int, ...]:
         """Frames, from 1 to `frames - 1`, whose lights differ from those of the frame before."""

@@ -142,7 +142,7 @@ class Batches:
             )
 
     @cached_property
-    def opened(self) -> tuple[StoredClip, ...]:
+    def stored_clips(self) -> tuple[StoredClip, ...]:
         """All clips in order, first those that are not mixed in; opened once."""
         inputs = self.inputs | TRAINING_INPUTS
         return tuple(
@@ -152,14 +152,14 @@ class Batches:
 
     def clip_digests(self) -> list[str]:
         """Name and hash of each clip, for model cards and checkpoints."""
-        return [f"{clip.name} {clip.digest[:12]}" for clip in self.opened]
+        return [f"{clip.name} {clip.digest[:12]}" for clip in self.stored_clips]
 
     def sequence(self, index: int) -> InMemoryClip:
         """A clip with a batch of crops as its frames; as long as the shortest of them."""
         generator = torch.Generator().manual_seed(self.seed * 1_000_003 + index)
-        first = self._draw_clip(generator, range(len(self.opened)))
-        slots = self.opened[first].max_samples
-        alike = [n for n, clip in enumerate(self.opened) if clip.max_samples == slots]
+        first = self._draw_clip(generator, range(len(self.stored_clips)))
+        slots = self.stored_clips[first].max_samples
+        alike = [n for n, clip in enumerate(self.stored_clips) if clip.max_samples == slots]
         crops = [self._draw_crop(generator, first)]
         for _ in range(1, self.batch):
             crops.append(self._draw_crop(generator, self._draw_clip(generator, alike)))
@@ -179,7 +179,7 @@ class Batches:
 
     def _draw_crop(self, generator: torch.Generator, number: int) -> list[Frame]:
         sample_order = _draw_integer(generator, 2**31)
-        clip = replace(self.opened[number], seed=sample_order)
+        clip = replace(self.stored_clips[number], seed=sample_order)
         if self.crop > min(clip.size.h, clip.size.w):
             raise BatchError(
                 f"Crops of {self.crop} x {self.crop} pixels were requested, but clip '{clip.name}' "

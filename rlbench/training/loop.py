@@ -178,7 +178,7 @@ def _check_clips(
     own_clips.check_clips(method, traits, clips, batches.crop, budgets)
     for folders in sets.values():
         own_clips.check_clips(method, traits, folders, 0, budgets)
-    if limits := own_clips.describe_small_pools(batches.opened, budgets):
+    if limits := own_clips.describe_small_pools(batches.stored_clips, budgets):
         _logger.warning("%s: %s", method, limits)
     return limits
 

@@ -56,7 +56,7 @@ def ensure_cycles(
         return job.folder
     for note in scene_file.user_scene.notes:
         on_message(note)
-    job = replace(job, scene=replace(job.scene, inspect=None))  # Mitsuba's way of looking at it
+    job = replace(job, scene=replace(job.scene, inspector=None))  # Mitsuba's way of looking at it
     if path.kind == "wander":
         raise SceneError(
             "--camera wander looks into the scene with Mitsuba, which does not read "

@@ -71,9 +71,9 @@ class Job:
         )
         return f"{fingerprint(self.scene, preset.frames)} {size} {preset.frames} frames {samples}\n"
 
-    def inspected(self) -> Job:
-        """The job with its scene as it is rendered; see `Scene.inspected`."""
-        return replace(self, scene=self.scene.inspected(self.preset.frames, self.preset.size))
+    def inspect(self) -> Job:
+        """The job with its scene as it is rendered; see `Scene.inspect`."""
+        return replace(self, scene=self.scene.inspect(self.preset.frames, self.preset.size))
 
     @property
     def is_finished(self) -> bool:

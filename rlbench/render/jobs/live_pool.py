@@ -188,7 +188,7 @@ def open_clip_tracer(folder: Path) -> Tracer:
     header = read_header(folder)
     cap = header.radiance_cap / header.exposure
     size = header.height, header.width
-    scene = scene_of_folder(folder).inspected(header.frames, size)
+    scene = scene_of_folder(folder).inspect(header.frames, size)
     return open_tracer(scene, *size, header.seed, cap)
 
 

@@ -178,7 +178,7 @@ def _render_frames(
     jobs: list[Job], on_progress: ProgressCallback, executor: Executor
 ) -> list[Exception]:
     """Render the missing frames, then write headers; returns the errors of frames that failed."""
-    jobs = [job.inspected() for job in jobs]
+    jobs = [job.inspect() for job in jobs]
     for job in jobs:
         job.claim_folder()
     renderer = FrameRenderer(jobs)
@@ -211,7 +211,7 @@ def _render_all(jobs: list[Job], bar: Progress, executor: Executor) -> None:
 def _estimate(jobs: list[Job], executor: Executor) -> str:
     """The work ahead in words, with the time it takes on this machine, after a short trial."""
     preset, paths_to_trace = jobs[0].preset, _count_paths(jobs)
-    scene = jobs[0].inspected().scene
+    scene = jobs[0].inspect().scene
     trial_ms = open_tracer(scene, *preset.size).measure_sample_ms(repeats=1, spp=TRIAL_SPP)
     gc.collect()  # while the old scene is alive, Dr.Jit compiles kernels for the next one again
     seconds = paths_to_trace / (preset.size[0] * preset.size[1]) * trial_ms / 1e3

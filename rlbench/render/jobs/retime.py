@@ -32,7 +32,7 @@ def remeasure_sample_ms(folder: Path) -> Header:
             "measured` times samples on this machine"
         )
     size = header.height, header.width
-    tracer = open_tracer(scene_of_clip(header.name).inspected(header.frames, size), *size)
+    tracer = open_tracer(scene_of_clip(header.name).inspect(header.frames, size), *size)
     times = measure_trace_times(tracer)
     del tracer
     gc.collect()  # while the old scene is alive, Dr.Jit compiles kernels for the next one again

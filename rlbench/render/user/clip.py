@@ -111,7 +111,7 @@ def ensure_user_clip(
         return job.folder
     for note in user_scene.notes:
         on_message(note)
-    job = job.inspected()
+    job = job.inspect()
     on_message(describe_job(job))
     return render_missing([job], None, executor)[0]
 
@@ -119,7 +119,7 @@ def ensure_user_clip(
 def plan_clip(
     options: UserSceneOptions, user_scene: UserScene, preset: Preset
 ) -> tuple[Job, CameraPath]:
-    """The render job of an opened scene, and its camera path; `Job.inspected` chooses the rest.
+    """The render job of an opened scene, and its camera path; `Job.inspect` chooses the rest.
 
     Raises SceneError for options that do not fit the scene.
     """
@@ -223,4 +223,4 @@ def _make_scene(
         missing_files=user_scene.missing_files,
     )
     exposure = options.exposure or (scene.exposure if user_scene.animates_camera else None)
-    return replace(scene, inspect=partial(_inspect, scene, path, exposure))
+    return replace(scene, inspector=partial(_inspect, scene, path, exposure))

@@ -21,7 +21,7 @@ __all__ = ["collection_scene"]
 def collection_scene(name: str, seed: int | None = None) -> Scene:
     """A scene of the collection: a dolly from its own camera or, with `seed`, a random path.
 
-    Nothing is traced before `Scene.inspected`. Shapes whose files are missing are left out and
+    Nothing is traced before `Scene.inspect`. Shapes whose files are missing are left out and
     recorded. Raises SceneError for a scene that is not on this machine.
 
     >>> collection_scene("no-such-scene")
@@ -53,7 +53,7 @@ def collection_scene(name: str, seed: int | None = None) -> Scene:
             missing_files=chosen.missing_files,
         )
 
-    return replace(described, inspect=inspect)
+    return replace(described, inspector=inspect)
 
 
 def _inspect(located: LocatedScene, seed: int | None, frames: int, size: tuple[int, int]) -> Scene:
@@ -68,7 +68,7 @@ def _inspect(located: LocatedScene, seed: int | None, frames: int, size: tuple[i
     llvm.select_variant()
     user_scene = open_scene_file(options.file, options.parameters, options.skip_missing)
     job, _ = plan_clip(options, user_scene, get_preset("mini"))
-    return job.scene.inspected(frames, size)
+    return job.scene.inspect(frames, size)
 
 
 def _plugin(name: str) -> Callable[[int | None], Scene]:

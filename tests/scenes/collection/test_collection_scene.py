@@ -56,13 +56,13 @@ def test_each_scene_of_the_catalog_is_a_scene_plugin(attic):
 
 def test_the_camera_and_the_exposure_are_chosen_when_the_scene_is_inspected(attic):
     main, random = collection_scene("attic"), collection_scene("attic", 2)
-    inspected = main.inspected(3, (16, 24)), random.inspected(3, (16, 24))
+    inspected = main.inspect(3, (16, 24)), random.inspect(3, (16, 24))
     origins = [[scene.camera(time).origin for time in (0.0, 2.0)] for scene in inspected]
     np.testing.assert_allclose(origins[0][0], (-2.5, 1.4, 0.6), atol=1e-5)
     assert origins[0] != origins[1]
-    assert all(scene.exposure != 1.0 and scene.inspect is None for scene in inspected)
+    assert all(scene.exposure != 1.0 and scene.inspector is None for scene in inspected)
     assert random.source_hash == inspected[1].source_hash != main.source_hash
-    assert random.inspected(3, (16, 24)).camera(1.0) == inspected[1].camera(1.0)
+    assert random.inspect(3, (16, 24)).camera(1.0) == inspected[1].camera(1.0)
 
 
 def test_a_clip_is_rendered_and_found_finished(attic):
@@ -81,7 +81,7 @@ def test_missing_files_change_the_scene_and_are_recorded(attic):
     (attic / "flag.obj").unlink()
     partial = collection_scene("attic", 1)
     assert partial.source_hash != before.source_hash
-    assert partial.inspected(1, (16, 24)).missing_files == ("flag.obj",)
+    assert partial.inspect(1, (16, 24)).missing_files == ("flag.obj",)
 
 
 def test_a_reported_clip_of_a_scene_with_missing_files_is_refused(attic, monkeypatch):
