@@ -685,7 +685,7 @@ def test_a_plugin_file_has_a_hash_whatever_it_imports(clip_folder, tmp_path, mon
     assert (first != changed) == ("helpers" in line)
 
 
-@pytest.mark.parametrize("name", ["bf16", "half", "crossval-3"])
+@pytest.mark.parametrize("name", ["bf16", "crossval-3"])
 def test_weights_never_have_a_reserved_label(clip_folder, tmp_path, name):
     plan = run_plan(clip_folder, "ours/A2", weights=f"runs/{name}.safetensors")
     assert resolve_method(plan, "ours/A2").row_name == f"ours/A2@weights-{name}"

@@ -30,7 +30,7 @@ def ensured(monkeypatch):
     ("words", "message"),
     [
         (("--preset", "huge"), "error: no preset 'huge'; available: tiny, mini"),
-        (("--scenes", "cellar"), "error: no scene 'cellar'; available: city, eventful, generated"),
+        (("--scenes", "cellar"), "error: no scene 'cellar'; available: bathroom, bathroom2, city"),
         (
             ("--scenes", "city-crane"),
             "error: scene 'city' has no take 'crane'; available takes: static, cut",
