@@ -222,7 +222,7 @@ CLAIMS: dict[str, Callable[[], None]] = {
         check_blotches_of_contrast
     ),
     "costs Intel's weights 0.34 dB there at 1 spp": check_cost_of_tuning,
-    "On a first frame, `ours` is 1.26 dB behind `oidn`": check_first_frame_of_real,
+    "On a first frame at 1 spp, `ours` is 1.26 dB behind `oidn`": check_first_frame_of_real,
     "At 0.5 spp its learned density is 0.30 dB behind uniform samples": check_uniform_on_real,
     "Three scenes do not separate the first eight rows at 1 spp": (
         check_three_scenes_do_not_separate
