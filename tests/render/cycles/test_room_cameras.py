@@ -1,5 +1,6 @@
 """Random walks of a camera, and their places in rooms."""
 
+import subprocess
 from dataclasses import replace
 
 import numpy as np
@@ -75,6 +76,30 @@ def test_paths_that_exist_are_kept(walks, monkeypatch):
 def test_more_paths_leave_the_first_as_they_were(walks, tmp_path):
     more = room_cameras.place_cameras(walks[0].parent / "both.gltf", tmp_path, 4, FRAMES)
     assert [file.read_text() for file in more[:3]] == [file.read_text() for file in walks]
+
+
+def test_rays_meet_what_is_rendered_whatever_blender_shows(blender, walks, tmp_path):
+    folder = walks[0].parent
+    code = f"""
+import bpy
+bpy.ops.wm.read_factory_settings(use_empty=True)
+bpy.ops.import_scene.gltf(filepath={str(folder / "both.gltf")!r})
+kept = bpy.data.collections.new("kept")
+bpy.context.scene.collection.children.link(kept)
+for item in list(bpy.context.scene.objects):
+    for owner in list(item.users_collection):
+        owner.objects.unlink(item)
+    kept.objects.link(item)
+kept.hide_viewport = True
+bpy.ops.mesh.primitive_cube_add(size=1.5, location=(0, -2, 1.5))
+bpy.context.object.hide_render = True
+bpy.ops.wm.save_as_mainfile(filepath={str(tmp_path / "hidden.blend")!r})
+"""
+    subprocess.run([blender, "-I", "-c", code], check=True, capture_output=True)
+    hidden = room_cameras.place_cameras(tmp_path / "hidden.blend", tmp_path, 3, FRAMES)
+    for file, expected in zip(hidden, walks, strict=True):
+        found, wanted = (camera_path.read_matrices(path)[0] for path in (file, expected))
+        assert np.allclose(found, wanted, atol=1e-5)
 
 
 def test_a_scene_without_a_ceiling_has_no_room(blender, tmp_path, monkeypatch):

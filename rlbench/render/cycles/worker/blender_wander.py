@@ -39,8 +39,7 @@ def place_paths(scene: Any, wander: dict[str, Any], start: int) -> dict[str, Any
     """
     chance = random.Random(wander["seed"])
     rejected: collections.Counter[str] = collections.Counter()
-    for item in scene.objects:
-        item.hide_viewport = item.hide_viewport or item.hide_render  # rays meet what is rendered
+    _show_rendered(scene)
     scene.frame_set(start)
     rays = _Rays(scene, wander["fov"])
     boxes = [_box(item) for item in scene.objects if item.type == "MESH" and item.visible_get()]
@@ -139,6 +138,18 @@ class _Rays:
         if hits[len(hits) * 9 // 10] < DEPTH_SPREAD * hits[len(hits) // 10]:
             return "the view is flat"
         return None
+
+
+def _show_rendered(scene: Any) -> None:
+    """Show what is rendered and hide the rest: rays meet what is shown."""
+    for item in (*scene.objects, *bpy.data.collections):
+        item.hide_viewport = item.hide_render
+    layers = [bpy.context.view_layer.layer_collection]
+    for layer in layers:
+        layer.hide_viewport = False
+        layers.extend(layer.children)
+    for item in bpy.context.view_layer.objects:
+        item.hide_set(False)
 
 
 def _box(item: Any) -> tuple[Any, Any]:
