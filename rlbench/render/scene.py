@@ -1,7 +1,7 @@
 """A scene as plain data: meshes, emitters, camera and takes. No renderer is imported.
 
-A scene plugin is a function without arguments that returns a `Scene`, registered as an entry point
-in the group `rlbench.scenes`. The exception is `generated`, which takes a seed.
+A scene plugin is a function that returns a `Scene`, registered as an entry point in the group
+`rlbench.scenes`. It has no argument, or a `seed`: the clip NAME-007 is made with seed 7.
 """
 
 from __future__ import annotations

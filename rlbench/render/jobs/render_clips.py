@@ -198,6 +198,7 @@ def _render_frames(
 
 
 def _render_all(jobs: list[Job], bar: Progress, executor: Executor) -> None:
+    jobs = [jobs[0].inspect(), *jobs[1:]]  # the first is traced for the estimate already
     bar.console.print(_estimate(jobs, executor))
     task = bar.add_task("", total=_count_paths(jobs))
     errors: list[Exception] = []
@@ -211,8 +212,7 @@ def _render_all(jobs: list[Job], bar: Progress, executor: Executor) -> None:
 def _estimate(jobs: list[Job], executor: Executor) -> str:
     """The work ahead in words, with the time it takes on this machine, after a short trial."""
     preset, paths_to_trace = jobs[0].preset, _count_paths(jobs)
-    scene = jobs[0].inspect().scene
-    trial_ms = open_tracer(scene, *preset.size).measure_sample_ms(repeats=1, spp=TRIAL_SPP)
+    trial_ms = open_tracer(jobs[0].scene, *preset.size).measure_sample_ms(repeats=1, spp=TRIAL_SPP)
     gc.collect()  # while the old scene is alive, Dr.Jit compiles kernels for the next one again
     seconds = paths_to_trace / (preset.size[0] * preset.size[1]) * trial_ms / 1e3
     at_most = "at most " if preset.max_reference_rounds > 1 else ""

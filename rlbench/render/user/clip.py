@@ -145,9 +145,7 @@ def describe_job(job: Job) -> str:
 def _inspect(
     scene: Scene, path: CameraPath, exposure: float | None, frames: int, size: tuple[int, int]
 ) -> Scene:
-    """The scene with its camera, and an estimated exposure unless one is given, after a look at
-    every frame.
-    """
+    """The scene with its camera and, unless one is given, an exposure, by a look at every frame."""
     llvm.select_variant()
     with auto_exposure.mitsuba_errors():
         tracer = open_tracer(scene, *size)
