@@ -14,7 +14,8 @@ from baselines.oidn import tza
 from baselines.oidn.method import INPUT_CHANNELS, Oidn
 from baselines.oidn_intel.library import Filter, FilterSettings, LibraryError, library_version
 from rlbench.frames import GBuffer, Samples
-from rlbench.ops.unet import BASE_WIDTHS, FAST_WIDTHS, UNet, UNetWidths
+from rlbench.ops.unet import UNet
+from rlbench.ops.unet_widths import BASE_WIDTHS, FAST_WIDTHS, UNetWidths
 
 __all__ = ["load_network", "weights_origin", "read_library_networks"]
 

@@ -12,11 +12,11 @@ from torch.nn import functional as F
 from baselines.accumulate.density import contrast as contrast_of
 from baselines.accumulate.density import mix_with_uniform
 from baselines.oidn.method import Oidn
-from methods.ours.episode_problem import EpisodeProblem
+from methods.ours import VARIANTS
 from methods.ours.method import assemble
 from methods.ours.policy import BlockReinforce
+from methods.ours.problem import EpisodeProblem
 from methods.ours.train import training_task
-from methods.ours.variants import VARIANTS
 from rlbench.clips.procedural.clip import procedural_clip
 from rlbench.frames import Samples, Size
 from rlbench.ops.init import kaiming_init
