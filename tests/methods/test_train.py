@@ -54,7 +54,7 @@ def test_a_step_has_the_same_length_at_a_large_loss_as_at_a_small_one():
 def test_training_starts_with_the_image_of_open_image_denoise(variant):
     """In the first frame no radiance is accumulated, and the weights of the state are zero."""
     pytest.importorskip("pyoidn", reason="the extra oidn is not installed")
-    from baselines.oidn_intel.networks import load_network
+    from baselines.oidn_intel.extract import load_network
 
     method = training_task(variant, CPU, seed=0).method
     method.networks.eval()
