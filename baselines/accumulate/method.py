@@ -102,10 +102,18 @@ class Accumulate:
         accumulated, history = accumulate_frame(history, current)
         accumulated = fill_holes(accumulated, gbuffer.albedo)
         denoised = log_forward(self._run_network(gbuffer, accumulated))
-        image = log_inverse(torch.lerp(denoised, history.image, BLEND * history.similarity))
+        image = log_inverse(
+            torch.lerp(denoised, history.image, self.blend_weight(denoised, history))
+        )
         change = _update_change(history, denoised.detach())
         surface = surface_features(gbuffer.normal, gbuffer.albedo, gbuffer.depth)
         return image, Memory(accumulated, image, change, surface, state.age + 1)
+
+    def blend_weight(
+        self, denoised: Float[Tensor, "n 3 h w"], history: History
+    ) -> Float[Tensor, "n 1 h w"]:
+        """Weight in [0, 1] of the last image, beside the new one in log transfer: by the rule."""
+        return BLEND * history.similarity
 
     def _run_network(
         self, gbuffer: GBuffer, accumulated: AccumulatedRadiance
