@@ -16,12 +16,7 @@ from baselines.oidn.method import to_signed_radiance
 from methods.ours.history import ReprojectedHistory, network_features
 from methods.ours.networks import MISSING
 from rlbench.frames import GBuffer, Samples
-from rlbench.ops.accumulation import (
-    AccumulatedRadiance,
-    accumulate,
-    fill_holes,
-    frame_radiance,
-)
+from rlbench.ops.accumulation import AccumulatedRadiance, accumulate, fill_holes, frame_radiance
 from rlbench.ops.antilag import history_confidence
 from rlbench.ops.exposure import autoexposure
 from rlbench.ops.kernels import apply_kernels
@@ -174,9 +169,7 @@ def hold_static(
 
 
 def mix_with_previous(
-    image: Float[Tensor, "n 3 h w"],
-    blend: Float[Tensor, "n 1 h w"],
-    history: ReprojectedHistory,
+    image: Float[Tensor, "n 3 h w"], blend: Float[Tensor, "n 1 h w"], history: ReprojectedHistory
 ) -> Float[Tensor, "n 3 h w"]:
     """The image mixed with the previous one in log transfer; `blend` is the logit of its weight."""
     weight = blend.sigmoid() * history.similarity

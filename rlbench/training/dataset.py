@@ -306,10 +306,7 @@ def split_holdout(
         problem = f"no scene '{scene}' to hold out"
         raise OptionError(unknown_name(problem, scene, scenes, f": preset '{preset}' has"))
     folders = render_preset_clips(
-        [name for name in scenes if name != scene],
-        preset,
-        pool_kinds=pool_kinds,
-        executor=executor,
+        [name for name in scenes if name != scene], preset, pool_kinds=pool_kinds, executor=executor
     )
     validate = render_preset_clips(
         None, "train", seeds=VALIDATION_SEEDS, pool_kinds=pool_kinds, executor=executor

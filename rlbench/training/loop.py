@@ -163,10 +163,7 @@ def _describe(clips: Sequence[Path], pool: str) -> str:
 
 
 def _check_clips(
-    method: str,
-    batches: Batches,
-    sets: Mapping[str, Sequence[Path]],
-    budgets: Sequence[float],
+    method: str, batches: Batches, sets: Mapping[str, Sequence[Path]], budgets: Sequence[float]
 ) -> str:
     """Which training clips limit the budgets, after a warning; empty if none does.
 

@@ -67,10 +67,7 @@ class TrainingRuns:
         Raises FolderInUseError where another process trains in the same folder.
         """
         folder = self.folder(method, held_out_scene)
-        with (
-            locked_folder(folder),
-            self.progress_bar(method, self.config.frames) as on_progress,
-        ):
+        with locked_folder(folder), self.progress_bar(method, self.config.frames) as on_progress:
             result = train(
                 method,
                 split.train,

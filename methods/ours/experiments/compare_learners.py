@@ -220,10 +220,7 @@ def _parser() -> argparse.ArgumentParser:
         "--frames", type=int, default=1600, help="frames of each training (default: 1600)"
     )
     parser.add_argument(
-        "--side",
-        type=int,
-        default=32,
-        help="side of a frame, a multiple of 8 pixels (default: 32)",
+        "--side", type=int, default=32, help="side of a frame, a multiple of 8 pixels (default: 32)"
     )
     parser.add_argument(
         "--seeds", default="0,1,2", help="seeds of weights, scenes and actions (default: 0,1,2)"

@@ -63,10 +63,7 @@ class BlockPolicyGradient:
         return row, column
 
     def explore(
-        self,
-        mean: Float[Tensor, "n 1 h w"],
-        corner: tuple[int, int],
-        generator: torch.Generator,
+        self, mean: Float[Tensor, "n 1 h w"], corner: tuple[int, int], generator: torch.Generator
     ) -> Float[Tensor, "n 1 h w"]:
         """An action drawn around the mean, with constant noise within a block."""
         n, _, h, w = mean.shape
@@ -77,10 +74,7 @@ class BlockPolicyGradient:
         return mean.detach() + self.action_std * noise[..., top : top + h, left : left + w]
 
     def antithetic_actions(
-        self,
-        mean: Float[Tensor, "n 1 h w"],
-        corner: tuple[int, int],
-        generator: torch.Generator,
+        self, mean: Float[Tensor, "n 1 h w"], corner: tuple[int, int], generator: torch.Generator
     ) -> Float[Tensor, "k n 1 h w"]:
         """Actions around the mean, in antithetic pairs: the noise of one is minus the other's."""
         halves = [self.explore(mean, corner, generator) for _ in range(self.draws // 2)]

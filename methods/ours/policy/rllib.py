@@ -27,11 +27,7 @@ from torch.nn import functional as F
 from methods.ours.policy.appo import AppoSettings
 from methods.ours.policy.joint_appo import pixel_ratios
 from methods.ours.policy.learner import Env
-from methods.ours.policy.reinforce import (
-    advantage,
-    budget_coupling,
-    remove_common_change,
-)
+from methods.ours.policy.reinforce import advantage, budget_coupling, remove_common_change
 
 __all__ = ["GymSamplingEnv", "PixelLearner", "SamplerModule", "train"]
 
