@@ -1,10 +1,14 @@
-"""Accumulators: the radiance that the denoiser reads, and the image from its output."""
+"""Accumulators: the radiance that the denoiser reads, and the image from its output.
+
+`accumulate` returns the radiance up to this frame without holes, and the frame with the history
+that is kept. `reconstruct` returns the image in linear radiance, and the latent for the next frame.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import NamedTuple, Protocol
+from typing import NamedTuple
 
 import torch
 from jaxtyping import Float, Int
@@ -45,18 +49,6 @@ class SampledFrame(NamedTuple):
     trust: Float[
         Tensor, "n _ h w"
     ]  # in accumulated radiance, in [0, 1], if the encoder predicts it
-
-
-class Accumulator(Protocol):
-    """Accumulates radiance before the denoiser and reconstructs the image behind it."""
-
-    def accumulate(self, frame: SampledFrame) -> tuple[AccumulatedRadiance, SampledFrame]:
-        """Radiance up to this frame without holes, and the frame with history that is kept."""
-
-    def reconstruct(
-        self, denoiser: Denoiser, frame: SampledFrame, radiance: AccumulatedRadiance
-    ) -> tuple[Float[Tensor, "n 3 h w"], Float[Tensor, "n s h w"]]:
-        """The image in linear radiance, and the latent for the next frame."""
 
 
 @dataclass(frozen=True)
@@ -152,6 +144,9 @@ class RuleRadiance(TemporalRadiance):
             mixed = torch.lerp(log_forward(image), log_forward(filtered), gate.sigmoid())
             image = log_inverse(mixed)
         return mix_with_previous(image, blend, history), written.tanh()
+
+
+Accumulator = StateOnly | FrameRadiance | TemporalRadiance
 
 
 def hold_static(

@@ -50,11 +50,8 @@ SEED_STRIDE = 10**9  # between the seeds of sampler, critic and actions: separat
 OnScore = Callable[[int, float, float], None]  # frames, seconds of CPU, score
 
 
-class TrueGradient:
+class TrueGradient(SamplerLearner):
     """The upper bound: the gradient of the expected error, which is unknown in practice."""
-
-    min_samples = 0
-    network = None
 
     def loss(self, problem: AllocationProblem, generator: torch.Generator) -> torch.Tensor:
         """The exact expected error of the relaxed counts."""

@@ -10,7 +10,7 @@ from jaxtyping import Float
 from torch import Tensor
 from torch.nn import functional as F
 
-from methods.ours.policy.learner import AllocationProblem
+from methods.ours.policy.learner import AllocationProblem, SamplerLearner
 
 __all__ = [
     "BlockPolicyGradient",
@@ -114,7 +114,7 @@ class BlockPolicyGradient:
 
 
 @dataclass
-class BlockReinforce:
+class BlockReinforce(SamplerLearner):
     """Rolls out several actions around the mean from one state, and compares their errors.
 
     Each set of actions is used for one step, so the ratio of new to old probability is 1 and the
@@ -122,8 +122,6 @@ class BlockReinforce:
     """
 
     policy: BlockPolicyGradient = BlockPolicyGradient()  # noqa: RUF009  (frozen)
-    min_samples: int = 0
-    network: None = None
 
     def loss(self, problem: AllocationProblem, generator: torch.Generator) -> Float[Tensor, ""]:
         """The policy's loss over its `draws` actions."""

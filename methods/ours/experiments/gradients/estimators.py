@@ -50,7 +50,7 @@ LOCAL = BlockPolicyGradient(block=1, margin=0)  # an action per pixel
 
 
 @dataclass(frozen=True)
-class ScoreFunction:
+class ScoreFunction(SamplerLearner):
     """The textbook estimator (Williams 1992): one reward for the image, credited to every pixel.
 
     Unbiased for the expected error of the noisy action. `baseline` subtracts the mean error of the
@@ -59,8 +59,6 @@ class ScoreFunction:
 
     baseline: bool
     policy: BlockPolicyGradient = LOCAL
-    min_samples: int = 0
-    network: None = None
 
     def loss(self, problem: AllocationProblem, generator: torch.Generator) -> Float[Tensor, ""]:
         """Mean over draws of error times log-probability of the action."""
@@ -75,12 +73,8 @@ class ScoreFunction:
         return loss
 
 
-@dataclass(frozen=True)
-class RelaxedTruth:
+class RelaxedTruth(SamplerLearner):
     """The gradient of the expected error as if counts were real numbers; without noise."""
-
-    min_samples: int = 0
-    network: None = None
 
     def loss(self, problem: AllocationProblem, generator: torch.Generator) -> Float[Tensor, ""]:
         """The relaxed error, mean over images."""
@@ -90,12 +84,10 @@ class RelaxedTruth:
 
 
 @dataclass(frozen=True)
-class ExploredTruth:
+class ExploredTruth(SamplerLearner):
     """The exact gradient at noisy actions: what a policy of this noise can learn at best."""
 
     policy: BlockPolicyGradient = LOCAL
-    min_samples: int = 0
-    network: None = None
 
     def loss(self, problem: AllocationProblem, generator: torch.Generator) -> Float[Tensor, ""]:
         """A loss whose gradient is the exact one at an action around the mean."""
