@@ -1,4 +1,4 @@
-"""EAW: equal to plain loops; edges; widths; and what still pixels keep, and when they begin anew."""
+"""EAW: equal to plain loops; edges and widths; what still pixels keep, and when they begin anew."""
 
 from __future__ import annotations
 

@@ -10,7 +10,6 @@ step of the weights moves it further on a larger image.
 from __future__ import annotations
 
 import argparse
-import csv
 import statistics
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass
@@ -26,11 +25,11 @@ from torch.nn import functional as F
 from methods.ours.experiments.compare_learners import initial_sampler
 from methods.ours.experiments.gradients.estimators import ESTIMATORS, Measurement, measure
 from methods.ours.experiments.gradients.exact_gradient import BUDGETS, DENOISERS
+from methods.ours.experiments.toy_evaluation import write_csv
 from methods.ours.experiments.toy_problem import Direct, ToyProblem, toy_frames
 from methods.ours.policy import BlockPolicyGradient, BlockReinforce
 from methods.ours.policy.appo import AppoSettings
 from methods.ours.policy.joint_appo import joint_ratio, pixel_ratios
-from rlbench.system import paths
 
 __all__ = [
     "RATIO_KINDS",
@@ -155,8 +154,8 @@ def write_tables(
         gradient_row(measure(name, denoiser, spp, _number_of_draws(name, draws)))
         for name, denoiser, spp in track(cells, "gradients")
     ]
-    _write(folder / GRADIENTS, rows)
-    _write(folder / RATIOS, list(_ratio_rows(sides)))
+    write_csv(folder / GRADIENTS, rows)
+    write_csv(folder / RATIOS, list(_ratio_rows(sides)))
 
 
 def _number_of_draws(name: str, draws: int) -> int:
@@ -168,13 +167,6 @@ def _ratio_rows(sides: Sequence[int]) -> Iterator[Mapping[str, str]]:
         for saturation in measure_saturation(side):
             row = asdict(saturation)
             yield {key: f"{v:.4g}" if isinstance(v, float) else str(v) for key, v in row.items()}
-
-
-def _write(file: Path, rows: Sequence[Mapping[str, str]]) -> None:
-    with paths.atomic_write(file) as part, part.open("w", newline="") as out:
-        writer = csv.DictWriter(out, list(rows[0]), lineterminator="\n")
-        writer.writeheader()
-        writer.writerows(rows)
 
 
 def main() -> None:
