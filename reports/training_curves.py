@@ -24,7 +24,6 @@ if TYPE_CHECKING:
 __all__ = ["Training", "draw_trainings", "main", "read_cards", "shipped_cards"]
 
 PACKAGES = ("baselines", "methods")
-HISTORY = ("validation_history", "curve")  # the key in a card, and its former name
 PAPER = "ours/paper"
 PANEL, LABEL_STEP = (5.4, 6.2), 0.27  # inches: width and height of a panel, between two labels
 DEPTH_DB = 5.0  # a panel reaches so far below its best end; lower starts are cut off
@@ -53,7 +52,7 @@ def read_cards(paths: Iterable[Path]) -> list[Training]:
     trainings = []
     for path in paths:
         card = tomllib.loads(path.read_text())
-        history: list[tuple[int, float]] = next((card[key] for key in HISTORY if card.get(key)), [])
+        history: list[tuple[int, float]] = card.get("validation_history", [])
         if history:
             crops, psnr = zip(*history, strict=True)
             trainings.append(Training(card["name"], crops, psnr))
