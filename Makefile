@@ -46,8 +46,6 @@ PAINTED := accumulate/contrast,oidn,ours,accumulate/tuned
 # learned rows near the front, in all backends
 SPEED := oidn-intel,oidn/tuned,accumulate/contrast,ours,ours/latent,ntas,svgf
 
-CONVENTIONS := mean,svgf,imcd,ntas,oidn,oidn/tuned,accumulate/contrast,ours,ours/latent
-
 APPENDIX := $(addprefix latent-,reinforce C+count denoiser-small encoder-small sampler-small encoder-large sampler-large denoiser-large)
 
 BASELINE := rlbench/benchmark/regression/baselines/mini.json
@@ -58,7 +56,8 @@ $(BIN)/rlbench report $(1) --results $(2) --out docs/made
 mv docs/made/$(firstword $(1)).md docs/results/$(3).md && rm -r docs/made
 endef
 
-# what the picture of the viewer shows
+# rows of the picture of the viewer, and what it shows
+VIEWED := mean,svgf,imcd,ntas,oidn,oidn/tuned,accumulate/contrast,ours,ours/latent
 SHOWN := view=flip&clip=0&frame=7&a=ours&b=mean&split=0.5&px=120&py=90
 
 # rows of the videos of each scene
@@ -70,7 +69,7 @@ SPP := 1000
 SEEDS := 0 1 2 3 4
 TRAINED := $(foreach name,latent latent-A1 latent-A2,ours/$(name):ours-$(name)/$(name))
 
-.PHONY: demo docs baseline table1 variance conventions viewer unseen speed metric-speed overhead overhead-all equal takes standard real recovery crossval appendix seeds gradients stress training campaign contact teaser switched videos site test test-all format clean
+.PHONY: demo docs baseline table1 variance viewer unseen speed metric-speed overhead overhead-all equal takes standard real recovery crossval appendix seeds gradients stress training campaign contact teaser switched videos site test test-all format clean
 
 demo: .venv/run.stamp
 	$(BIN)/rlbench run --preset mini --keep-images --out $(RESULTS)
@@ -86,8 +85,6 @@ docs: .venv/dev.stamp
 	$(BIN)/rlbench report pareto --results $(RESULTS) --out docs/made --methods all,oidn/tuned
 	$(BIN)/rlbench report winners --results $(RESULTS) --out docs/made
 	$(BIN)/rlbench report equal_time --results $(RESULTS) --out docs/made
-	$(BIN)/rlbench report equal-latency --results $(RESULTS) --out docs/made
-	$(BIN)/rlbench report network-study --results $(RESULTS) --out docs/made
 	$(BIN)/rlbench report parts --results $(RESULTS) --out docs/made
 	$(BIN)/rlbench images -m ours,oidn-intel,imcd,ntas,svgf,mean --scenes city --out docs/made
 	mv docs/made/city-1spp-07.png docs/made/images.png && rm -r docs/made/city-1spp-07
@@ -188,14 +185,9 @@ appendix: .venv/dev.stamp
 	done
 	$(call page,ablation,$(RESULTS)/appendix,appendix)
 
-# does the ranking survive other conventions? 2 minutes
-conventions: .venv/dev.stamp
-	$(BIN)/rlbench run -m '$(CONVENTIONS)' --preset mini --spp 1 --scores-only --keep-images --out $(RESULTS)/kept
-	$(BIN)/rlbench evaluate $(RESULTS)/kept --metrics psnr --convention srgb,paper2023,noisebase-v1,hable,linear
-	$(call page,conventions,$(RESULTS)/kept/evaluated,conventions)
-
-# the picture of the viewer in the README, from the images of make conventions; needs Chromium
+# the picture of the viewer in the README: 2 minutes; needs Chromium
 viewer: .venv/dev.stamp
+	$(BIN)/rlbench run -m '$(VIEWED)' --preset mini --spp 1 --scores-only --keep-images --out $(RESULTS)/kept
 	$(BIN)/rlbench view $(RESULTS)/kept --out $(RESULTS)/kept/report.html
 	$(BIN)/python -m tests.reports.viewer.take_picture $(RESULTS)/kept/report.html docs/results/viewer.png '$(SHOWN)'
 
