@@ -33,7 +33,7 @@ from rlbench.ops.exposure import autoexposure
 from rlbench.ops.fireflies import limit_fireflies
 from rlbench.ops.reprojection import ReprojectionMemo
 from rlbench.ops.transfer import log_forward, log_inverse
-from rlbench.ops.unet import BASE_WIDTHS, UNet
+from rlbench.ops.unet import UNet
 from rlbench.weights import load_for_inference
 
 __all__ = ["VARIANTS", "Accumulate", "Config", "build"]
@@ -127,7 +127,7 @@ class Accumulate:
 def build(variant: str, device: torch.device, weights: str | None) -> Accumulate:
     """The control with pretrained weights (None), those of a file (its path), or "random" ones."""
     declared = FAMILY.variants[variant]
-    network = UNet(INPUT_CHANNELS, widths=BASE_WIDTHS)
+    network = UNet(INPUT_CHANNELS)
     cards = OIDN_CARDS if declared.weights_from else CARDS
     load_for_inference(network, weights, cards / FAMILY.weights_file(variant), device)
     return Accumulate(VARIANTS[variant], declared.traits, network)

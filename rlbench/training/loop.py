@@ -210,8 +210,7 @@ def _start_or_resume(
         return Progress(config=requested)
     metadata, tensors = checkpoint.read(file)
     progress = Progress.from_dict(metadata)
-    trained = progress.config.setdefault("method", requested["method"])  # absent in old checkpoints
-    if trained != requested["method"]:
+    if (trained := progress.config.get("method")) != requested["method"]:
         raise TrainingError(
             f"{file} belongs to method '{trained}', but '{requested['method']}' was requested. "
             "Choose another --out"

@@ -5,9 +5,13 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from typing import NamedTuple
 
-from methods.ours.experiments.gradients.estimators import ESTIMATORS, Estimator
-from methods.ours.experiments.gradients.measurement import Measurement, measure
-from methods.ours.experiments.gradients.problem import DENOISERS
+from methods.ours.experiments.gradients.estimators import (
+    ESTIMATORS,
+    Estimator,
+    Measurement,
+    measure,
+)
+from methods.ours.experiments.gradients.exact_gradient import DENOISERS
 from methods.ours.experiments.gradients.ratio_saturation import (
     RATIOS,
     SIDES,

@@ -1,26 +1,39 @@
-"""Scoring a sampler on unseen toy scenes: its share of the optimal error reduction."""
+"""Scores of samplers on unseen toy scenes, and the table of all trainings' scores."""
 
 from __future__ import annotations
 
+import csv
 from collections.abc import Callable
 from dataclasses import dataclass
+from pathlib import Path
+from typing import NamedTuple
 
 import torch
 from jaxtyping import Float, Int
 from torch import Tensor
 
-from methods.ours.experiments.known_optimum import Mode, ToyProblem, greedy_counts
-from methods.ours.experiments.toy_scenes import CHANNELS, STORED_SAMPLES, ToyFrame, toy_frames
-from methods.ours.policy.environment import StepResult
+from methods.ours.experiments.toy_problem import (
+    CHANNELS,
+    STORED_SAMPLES,
+    Mode,
+    ToyFrame,
+    ToyProblem,
+    greedy_counts,
+    toy_frames,
+)
+from methods.ours.policy import StepResult
 from rlbench.sampling import allocate_counts
+from rlbench.system import paths
 from rlbench.training.surrogate_gradient import relaxed_counts
 
-__all__ = ["Evaluation", "ToyEnv", "best_counts"]
+__all__ = ["TABLE", "Evaluation", "LearnerTable", "ToyEnv", "Training", "best_counts"]
 
 TEST_SEED = 10**6  # of the scenes that samplers are scored on
 FRAME_STRIDE = 7  # frames from one scored frame to the next
 DESCENT_STEPS, DESCENT_RATE = 100, 0.1  # of Adam, where no optimum is known in closed form
 MIN_START = 0.02  # least density, as a share of the largest, where the descent starts from sigma
+TABLE = "known_optimum.csv"
+COLUMNS = ("learner", "mode", "seed", "side", "of", "frames", "seconds", "score")  # of: in all
 
 
 @dataclass(frozen=True)
@@ -125,3 +138,61 @@ class ToyEnv:
         truncated = self._frame.index == 0
         observation = last.observation if truncated else self._frame.observation
         return StepResult(rollout.errors[0], rollout.counts[0], observation, truncated)
+
+
+class Training(NamedTuple):
+    """The identity of one training."""
+
+    learner: str
+    mode: str
+    seed: int
+
+    def __str__(self) -> str:
+        """For the progress bar."""
+        return f"{self.learner}, {self.mode}, seed {self.seed}"
+
+
+@dataclass
+class LearnerTable:
+    """Scores of trainings of one length, on frames of one size."""
+
+    file: Path
+    frames: int
+    side: int
+    rows: list[dict[str, str]]
+
+    @classmethod
+    def read(cls, file: Path, frames: int, side: int) -> LearnerTable:
+        """The table in a file, empty if there is none.
+
+        Raises ValueError if it has trainings of another length, or on frames of another size.
+        """
+        rows: list[dict[str, str]] = []
+        if file.exists():
+            with file.open(newline="") as content:
+                rows = list(csv.DictReader(content))
+        if other := {(row["side"], row["of"]) for row in rows} - {(str(side), str(frames))}:
+            found = " and ".join(f"--frames {of} --side {pixels}" for pixels, of in sorted(other))
+            raise ValueError(
+                f"--frames {frames} --side {side}: {file} has trainings by {found}, which cannot "
+                "be compared with these. Choose another --out"
+            )
+        return cls(file, frames, side, rows)
+
+    @property
+    def trainings(self) -> set[Training]:
+        """Trainings with scores in the table."""
+        return {Training(row["learner"], row["mode"], int(row["seed"])) for row in self.rows}
+
+    def add(self, training: Training, frames: int, seconds: float, score: float) -> None:
+        """Append one score."""
+        settings = (*training, self.side, self.frames)
+        values = (*settings, frames, f"{seconds:.1f}", f"{score:.4f}")
+        self.rows.append(dict(zip(COLUMNS, map(str, values), strict=True)))
+
+    def write(self) -> None:
+        """Replace the file."""
+        with paths.atomic_write(self.file) as part, part.open("w", newline="") as out:
+            writer = csv.DictWriter(out, COLUMNS, lineterminator="\n")
+            writer.writeheader()
+            writer.writerows(self.rows)

@@ -1,4 +1,4 @@
-"""The policy gradient of the sampler: blocks of pixels, local credit, a price on samples."""
+"""REINFORCE on blocks of pixels, with local credit and a price on samples."""
 
 from __future__ import annotations
 
@@ -10,8 +10,11 @@ from jaxtyping import Float
 from torch import Tensor
 from torch.nn import functional as F
 
+from methods.ours.policy.learner import AllocationProblem
+
 __all__ = [
     "BlockPolicyGradient",
+    "BlockReinforce",
     "RolloutBatch",
     "advantage",
     "budget_coupling",
@@ -114,6 +117,29 @@ class BlockPolicyGradient:
         padded = F.pad(inside.flatten(0, 1), (margin - left, margin, margin - up, margin))
         sums = F.avg_pool2d(padded, side, self.block) * side**2
         return sums.view(*inside.shape[:3], *sums.shape[-2:])
+
+
+@dataclass
+class BlockReinforce:
+    """Rolls out several actions around the mean from one state, and compares their errors.
+
+    Each set of actions is used for one step, so the ratio of new to old probability is 1 and the
+    clipping of PPO never acts: in this limit the proximal loss is REINFORCE (Williams 1992).
+    """
+
+    policy: BlockPolicyGradient = BlockPolicyGradient()  # noqa: RUF009  (frozen)
+    min_samples: int = 0
+    network: None = None
+
+    def loss(self, problem: AllocationProblem, generator: torch.Generator) -> Float[Tensor, ""]:
+        """The policy's loss over its `draws` actions."""
+        mean, corner = problem.act(), self.policy.draw_corner(generator)
+        actions = self.policy.antithetic_actions(mean, corner, generator)
+        rollout = problem.rollout(actions)
+        batch = RolloutBatch(
+            actions, rollout.errors, rollout.counts, corner, problem.multiplicative
+        )
+        return self.policy.loss(mean, batch)
 
 
 def budget_coupling(usual: Tensor, multiplicative: bool) -> tuple[Tensor, Tensor]:

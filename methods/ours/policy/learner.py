@@ -1,4 +1,4 @@
-"""One interface for every way to train the sampler: an allocation problem in, a loss out."""
+"""What a learner of the sampler gets, and what it returns: a problem in, a loss out."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from torch import Tensor, nn
 
 from rlbench.training.surrogate_gradient import SampleGradient
 
-__all__ = ["AllocationProblem", "Rollout", "SamplerLearner"]
+__all__ = ["AllocationProblem", "Env", "Rollout", "SamplerLearner", "StepResult"]
 
 
 class Rollout(NamedTuple):
@@ -78,3 +78,26 @@ class SamplerLearner(Protocol):
 
     def loss(self, problem: AllocationProblem, generator: torch.Generator) -> Float[Tensor, ""]:
         """A scalar whose gradient is one step of the sampler, and of `network`."""
+
+
+class StepResult(NamedTuple):
+    """The results of one action, and the next observation."""
+
+    errors: Float[Tensor, "1 1 h w"]  # of each pixel of the image, >= 0
+    counts: Float[Tensor, "1 1 h w"]  # samples drawn
+    observation: Float[Tensor, "1 c h w"]  # of the next frame; of this one at the end
+    truncated: bool  # was this the last frame of the episode?
+
+
+class Env(Protocol):
+    """Episodes of frames, one at a time; the action is a map. `methods.ours.problem` has one."""
+
+    @property
+    def shape(self) -> tuple[int, int, int]:
+        """Channels, rows and columns of an observation."""
+
+    def reset(self) -> Float[Tensor, "1 c h w"]:
+        """Start the next episode; returns the observation of its first frame."""
+
+    def step(self, action: Float[Tensor, "1 1 h w"]) -> StepResult:
+        """Draw samples by an action, denoise, and go on to the next frame."""
