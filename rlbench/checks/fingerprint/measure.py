@@ -10,7 +10,7 @@ from torch import Tensor
 
 from rlbench.checks.frame_edits import to_clip
 from rlbench.checks.stress.display import psnr_of_frames
-from rlbench.checks.stress.lies import LIES, Lie, tell_lie
+from rlbench.checks.stress.lying_buffers import LIES, Lie, tell_lie
 from rlbench.errors import OptionError
 from rlbench.frames import BUFFERS, Clip, Frame
 from rlbench.method import Method
