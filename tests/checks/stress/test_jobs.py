@@ -9,9 +9,15 @@ import torch
 
 from rlbench import registry
 from rlbench.checks.result import Verdict
-from rlbench.checks.stress import job_hash, runner, sections
-from rlbench.checks.stress.job import StressJob
-from rlbench.checks.stress.runner import default_executor, plan_jobs, run_jobs
+from rlbench.checks.stress import section
+from rlbench.checks.stress.jobs import (
+    StressJob,
+    content_hash,
+    default_executor,
+    plan_jobs,
+    run_jobs,
+    write_results,
+)
 from rlbench.parallel.executor import LOCAL
 from rlbench.parallel.process_executor import ProcessExecutor
 from tests.conftest import write_plugin
@@ -54,7 +60,7 @@ def test_the_quick_and_the_full_form_are_stored_apart(tmp_path):
     run(jobs_of("mean"), tmp_path)
     (full,) = plan_jobs(["mean"], ["budgets"], False, CPU)
     (quick,) = jobs_of("mean")
-    assert job_hash.content_hash(full) != job_hash.content_hash(quick)
+    assert content_hash(full) != content_hash(quick)
     assert len(list((tmp_path / "jobs").iterdir())) == 1
 
 
@@ -67,7 +73,7 @@ def test_a_changed_method_is_run_again(tmp_path):
     assert not run(jobs, tmp_path)["toy: budgets"].is_stored
 
 
-@pytest.mark.parametrize("damage", [b"", b"{", b"\xff\xfe", b'{"schema": 1, "results": [3]}'])
+@pytest.mark.parametrize("damage", [b"", b"{", b"\xff\xfe", b'{"schema": 2}'])
 def test_a_damaged_result_is_measured_again(tmp_path, damage):
     jobs = jobs_of("mean")
     run(jobs, tmp_path)
@@ -80,8 +86,7 @@ def test_a_damaged_result_is_measured_again(tmp_path, damage):
 def test_jobs_with_similar_names_have_their_own_files(tmp_path):
     results = {}
     for name in ("a/b", "a-b"):
-        store = runner.ResultStore(tmp_path)
-        store.write(StressJob("budgets", name, True, "cpu"), "hash", ())
+        write_results(tmp_path, StressJob("budgets", name, True, "cpu"), "hash", ())
         results[name] = len(list((tmp_path / "jobs").iterdir()))
     assert results == {"a/b": 1, "a-b": 2}
 
@@ -131,7 +136,7 @@ def test_a_method_whose_package_is_missing_is_skipped(tmp_path):
 def test_a_section_that_cannot_be_imported_fails_once(tmp_path, monkeypatch):
     (tmp_path / "torn_section.py").write_text("1 / 0")
     monkeypatch.syspath_prepend(tmp_path)
-    monkeypatch.setitem(sections.CORE_SECTIONS, "torn", "torn_section:SECTION")
+    monkeypatch.setitem(section.CORE_SECTIONS, "torn", "torn_section:SECTION")
     finished = run(jobs_of("mean", "svgf", only=("torn",)), tmp_path)
     (result,) = finished["torn"].results
     assert result.verdict is Verdict.FAILED
@@ -140,17 +145,17 @@ def test_a_section_that_cannot_be_imported_fails_once(tmp_path, monkeypatch):
 
 def test_results_before_an_exception_of_a_section_are_kept(tmp_path, monkeypatch):
     (tmp_path / "half_section.py").write_text(
-        "from rlbench.checks.stress.result import skip\n"
+        "from rlbench.checks.result import not_applicable\n"
         "from rlbench.checks.stress.section import MethodSection\n"
         "def run(stressed, is_quick):\n"
-        "    yield skip(stressed.name, 'half', 'first', 'no reason')\n"
+        "    yield not_applicable('first', 'no reason')\n"
         "    raise KeyError('second')\n"
         "SECTION = MethodSection('half', 'Does it end?', run)\n"
     )
     monkeypatch.syspath_prepend(tmp_path)
-    monkeypatch.setitem(sections.CORE_SECTIONS, "half", "half_section:SECTION")
+    monkeypatch.setitem(section.CORE_SECTIONS, "half", "half_section:SECTION")
     results = run(jobs_of("mean", only=("half",)), tmp_path)["mean: half"].results
-    assert [(r.test, r.verdict) for r in results] == [
+    assert [(r.check, r.verdict) for r in results] == [
         ("first", Verdict.SKIPPED),
         ("run", Verdict.FAILED),
     ]
