@@ -146,7 +146,7 @@ def lint(
     if guess:
         _write_guess(clips, layout)
         return
-    from rlbench.checks.lint.run import lint_clips
+    from rlbench.checks.lint.checks import lint_clips
     from rlbench.clips.clip_folders import find_all_clips
 
     folders = find_all_clips(clips)
@@ -160,7 +160,7 @@ def lint(
 def _write_guess(sources: list[Path], layout: Path) -> None:
     """Write the layout of one dump, and print it."""
     from rlbench.checks.lint.guess import format_guess, guess_layout
-    from rlbench.checks.lint.recognize import recognize_layout
+    from rlbench.checks.lint.guess import recognize_layout
     from rlbench.clips.importers.layout import ready_layouts
     from rlbench.errors import OptionError
     from rlbench.system.disk import check_writable

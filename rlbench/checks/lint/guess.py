@@ -1,7 +1,7 @@
-"""Guess the layout of a dump: names say what the images are, and readings which convention fits.
+"""Guess the layout of a dump: a ready one that reads it, or names and the readings that fit best.
 
-The files are imported in memory as if they kept the conventions of a clip. The checks of a clip
-then say which other reading fits better, and by how much.
+Names say what the images are. The files are imported in memory as if they kept the conventions of a
+clip; the checks of a clip then say which other reading fits better, and by how much.
 """
 
 from __future__ import annotations
@@ -12,22 +12,31 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from rlbench.checks.lint.albedo import MAX_GAMMA, MIN_PAIRS, colour_slopes
 from rlbench.checks.lint.checks import fit_depth
-from rlbench.checks.lint.clip_arrays import ClipArrays
-from rlbench.checks.lint.dump_arrays import import_arrays
+from rlbench.checks.lint.clip_arrays import ClipArrays, import_arrays
 from rlbench.checks.lint.dump_names import find_named_images
-from rlbench.checks.lint.geometry import VIEW_DEPTH
-from rlbench.checks.lint.motion import MARGIN_OPPOSITE, MIN_EXPLAINED, rank_conventions
-from rlbench.checks.lint.motion_conventions import DIRECTIONS, MotionConvention
-from rlbench.checks.lint.noise_statistics import local_mean
-from rlbench.checks.lint.normals import check_normals
-from rlbench.checks.lint.orientation import STORED, correlate_orientations, misoriented
+from rlbench.checks.lint.edges import (
+    MAX_GAMMA,
+    MIN_PAIRS,
+    STORED,
+    colour_slopes,
+    correlate_orientations,
+    misoriented,
+)
+from rlbench.checks.lint.geometry import VIEW_DEPTH, check_depth, check_normals
+from rlbench.checks.lint.motion import (
+    DIRECTIONS,
+    MARGIN_OPPOSITE,
+    MIN_EXPLAINED,
+    MotionConvention,
+    check_motion,
+    rank_conventions,
+)
+from rlbench.checks.lint.radiance import local_mean
 from rlbench.checks.result import Verdict
-from rlbench.clips.importers.layout import decode_layout
+from rlbench.clips.importers.layout import decode_layout, read_layout, ready_layouts
+from rlbench.clips.importers.sequence import SourceError
 from rlbench.system.documents import to_toml
-
-__all__ = ["Guess", "format_guess", "guess_layout"]
 
 SURE, LIKELY = 0.1, 0.03  # leads over the next reading
 TO_PREVIOUS = MotionConvention().direction
@@ -51,6 +60,26 @@ UNITS = {
     "UV (0..1)": ("shares", 1.0),
 }
 Tables = dict[str, Any]
+
+
+def recognize_layout(source: Path) -> str | None:
+    """The name of the ready layout that finds all its buffers in a dump; None if none does."""
+    for name in ready_layouts():
+        layout = read_layout(name)
+        try:
+            arrays = import_arrays(source, layout)
+        except SourceError:
+            continue
+        if set(arrays.gbuffer) < {"albedo", "normal", "depth", "motion"} & set(layout.images):
+            continue
+        fits = fit_depth(arrays)
+        results = [check_motion(arrays)] if "motion" in arrays.gbuffer else []
+        results += [check_depth(arrays, fits)] if "depth" in arrays.gbuffer else []
+        has_space = layout.normal is not None and layout.normal.space != "unknown"
+        results += [check_normals(arrays, fits)] if has_space else []
+        if all(result.verdict is not Verdict.FAILED for result in results):
+            return name
+    return None
 
 
 class Guess(NamedTuple):

@@ -12,7 +12,7 @@ import pytest
 from rlbench import registry
 from rlbench.checks import conformance, result
 from rlbench.checks.conformance import suite
-from rlbench.checks.lint import motion_conventions
+from rlbench.checks.lint import motion
 from tests.conftest import write_plugin
 
 
@@ -67,7 +67,7 @@ def test_every_public_name_can_be_imported(name):
     assert name in dir(conformance)
 
 
-@pytest.mark.parametrize("module", [conformance, result, suite, motion_conventions])
+@pytest.mark.parametrize("module", [conformance, result, suite, motion])
 def test_examples_of_docstrings_run(module):
     names = {"MethodUnderTest": conformance.MethodUnderTest}
     found = doctest.testmod(module, extraglobs=names)
