@@ -159,8 +159,7 @@ def lint(
 
 def _write_guess(sources: list[Path], layout: Path) -> None:
     """Write the layout of one dump, and print it."""
-    from rlbench.checks.lint.guess import format_guess, guess_layout
-    from rlbench.checks.lint.guess import recognize_layout
+    from rlbench.checks.lint.guess import format_guess, guess_layout, recognize_layout
     from rlbench.clips.importers.layout import ready_layouts
     from rlbench.errors import OptionError
     from rlbench.system.disk import check_writable
