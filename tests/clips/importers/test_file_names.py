@@ -122,9 +122,8 @@ def test_samples_and_frames_that_were_not_asked_for_are_left_out(tmp_path):
     source, layout = write_plain(tmp_path, (1, 2, 3), ("s0", "s1", "rA"))
     found = reasons(source, layout, 1, (1, 3))
     assert found[0] == "  left out, not in --frames: rA/b.3.exr"
-    assert "  left out, not among the first 1 samples of its pixel: s1/b.1.exr to s1/b.2.exr " in (
-        found[2]
-    ) or "s1/b.1.exr" in "".join(found)
+    assert "the first 1 samples of its pixel: s1/b.1.exr to s1/b.2.exr" in found[1]
+    assert "not in --frames: s0/b.3.exr" in " ".join(found)
     assert found[-1] == f"5 files of {source} are left out"
 
 
@@ -157,8 +156,7 @@ def test_the_last_line_of_an_import_counts_what_is_left_out(tmp_path):
     for frame in range(3, 11):
         write_grey(source / "rA" / f"b.{frame}.exr", 1)
     words = ["import", str(source), "--layout", layout, "--out", str(tmp_path / "clips")]
-    assert rlbench(*words).splitlines()[-1] == f"8 files of {source} are left out"
-    assert "left out" not in rlbench(*words[:-1], str(tmp_path / "more"), "--frames=1:3")
+    assert rlbench(*words).endswith(f" 8 files of {source} are left out")
 
 
 # Patterns: what was put into a name is read from it
