@@ -58,6 +58,11 @@ class MotionConvention:
         return f"{axes} in {self.scale}, {self.direction}"
 
 
+def format_share(share: float) -> str:
+    """A share of the change in per cent, from -100 on: what is worse fits no better."""
+    return f"{max(-1.0, min(1.0, share)):.0%}"
+
+
 FORMAT_V1 = MotionConvention()
 OPPOSITE = MotionConvention(False, (-1, -1), "pixels", "to the next frame")
 
@@ -189,13 +194,17 @@ def check_motion(arrays: ClipArrays) -> CheckResult:
     (rival, share), *_ = ranked
     margin = MARGIN_OPPOSITE if rival == OPPOSITE else MARGIN
     if share - stored > margin:
-        found = f"explains {share:.0%} of the change as {rival}, but {stored:.0%} as {FORMAT_V1}"
+        found = (
+            f"explains {format_share(share)} of the change as {rival}, but "
+            f"{format_share(stored)} as {FORMAT_V1}"
+        )
         return failed(CHECK, found, f"convert it from {rival}")
     if stored < MIN_EXPLAINED:
-        found = f"explains {stored:.0%} of the change between frames; no other convention fits"
+        explained = format_share(stored)
+        found = f"explains {explained} of the change between frames; no other convention fits"
         return failed(CHECK, found, "check the frame and the camera for which motion was computed")
-    second = next(f"{s:.0%} as {c}" for c, s in ranked if c not in (FORMAT_V1, OPPOSITE))
-    found = f"explains {stored:.0%} of the change as {FORMAT_V1}; next best {second}"
+    second = next(f"{format_share(s)} as {c}" for c, s in ranked if c not in (FORMAT_V1, OPPOSITE))
+    found = f"explains {format_share(stored)} of the change as {FORMAT_V1}; next best {second}"
     return _check_cuts(arrays, found)
 
 
@@ -268,7 +277,7 @@ def _check_cuts(arrays: ClipArrays, found: str) -> CheckResult:
     later = _frames_with_previous(arrays)
     shares = explained_change(arrays, FORMAT_V1, later)
     if float(shares.min()) < CUT * float(shares.median()):
-        found += f"; but {shares.min():.0%} in frame {later[int(shares.argmin())]}"
+        found += f"; but {format_share(float(shares.min()))} in frame {later[int(shares.argmin())]}"
         remedy = "if a new shot begins there, add it to cuts, and let motion point outside"
         return warning(CHECK, found, remedy)
     return passed(CHECK, found)
