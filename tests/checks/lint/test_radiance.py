@@ -1,4 +1,4 @@
-"""The checks of the reference."""
+"""Noise and the reference, against known answers."""
 
 from __future__ import annotations
 
@@ -9,13 +9,33 @@ import pytest
 import torch
 
 from rlbench.checks.lint.clip_arrays import ClipArrays
-from rlbench.checks.lint.reference import (
+from rlbench.checks.lint.radiance import (
+    bounded_noise,
     check_halves,
     check_noise_ceiling,
+    correlate,
     half_noise_ratio,
     noise_ceiling_db,
+    ratio_of_sums,
 )
 from tests.checks.lint.broken_fixtures import correct_clip
+
+
+def test_independent_samples_correlate_by_one_over_the_others():
+    generator = torch.Generator().manual_seed(0)
+    pool = torch.randn(2, 8, 3, 64, 64, generator=generator).exp()
+    noise = bounded_noise(pool)
+    found, error = correlate(noise[:, 2], noise[:, 5])
+    assert found == pytest.approx(-1 / 7, abs=4 * error)
+    assert error < 0.02
+
+
+def test_the_error_of_a_ratio_is_its_scatter_over_seeds():
+    generator = torch.Generator().manual_seed(0)
+    pairs = [torch.rand(2, 1, 3, 64, 64, generator=generator) for _ in range(60)]
+    found = torch.tensor([ratio_of_sums(upper, lower) for upper, lower in pairs])
+    # 60 draws give a standard deviation to within 1 / sqrt(120), 9 %; three times that
+    assert float(found[:, 0].std() / found[:, 1].mean()) == pytest.approx(1, abs=0.28)
 
 
 def test_an_unknown_reference_spp_predicts_no_noise(arrays):
