@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 import torch
 
-from rlbench.benchmark.cell_images import list_images
-from rlbench.benchmark.evaluation import EvaluationError
+from rlbench.benchmark.cell_images import EvaluationError, list_images
 from rlbench.benchmark.runner import measure
 from rlbench.benchmark.shown_clips import find_shown_clips
 from rlbench.clips.stored import open_clip
@@ -17,7 +16,7 @@ from tests.conftest import write_noise
 
 @pytest.fixture
 def plan(clip_folder, tmp_path):
-    plan = run_plan(clip_folder, target_spp=(1.0, 2.0), seeds=(0, 1))
+    plan = run_plan(clip_folder, spp=(1.0, 2.0), seeds=(0, 1))
     measure(plan, tmp_path / "r", keep_images=True)
     return plan
 

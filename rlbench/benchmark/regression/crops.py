@@ -17,14 +17,14 @@ from jaxtyping import Float, UInt8
 from numpy import ndarray as Array
 
 from rlbench.benchmark.regression.comparison import BaselineDiff
-from rlbench.benchmark.row_name import RowName
+from rlbench.benchmark.results import RowName
 from rlbench.errors import RlbenchError
 
 if TYPE_CHECKING:
     import pandas as pd
 
     from rlbench.benchmark.clip_sources import StoredSource
-    from rlbench.benchmark.image_sheet import LinearImage
+    from rlbench.benchmark.frame_images import LinearImage
 
 __all__ = ["Crops", "CropsError", "kept_image", "select_tile", "write_crops"]
 
@@ -78,7 +78,7 @@ def write_crops(
     of the frame. The difference is that to the image of before, or else to the reference. Raises
     CropsError, and what the method raises, where there is no image.
     """
-    from rlbench.benchmark.image_sheet import LinearImage
+    from rlbench.benchmark.frame_images import LinearImage
     from rlbench.clips.stored import open_clip
 
     key = _worst_frame(diff, table, seed)
@@ -107,7 +107,7 @@ def write_crops(
 
 def kept_image(results: Path, key: FrameKey) -> LinearImage | None:
     """The stored image of a frame in a results folder, or None if it has none."""
-    from rlbench.benchmark.image_sheet import LinearImage
+    from rlbench.benchmark.frame_images import LinearImage
     from rlbench.clips.exr import read_planes
     from rlbench.clips.exr_header import read_exr_header
 
@@ -154,10 +154,8 @@ def _compute(key: FrameKey, clip: StoredSource) -> LinearImage:
     """The image of a frame, by running the method up to it."""
     import torch
 
-    from rlbench.benchmark.cell_loader import CellLoader
     from rlbench.benchmark.frame_images import frame_at, method_image
-    from rlbench.benchmark.resolve import resolve_cells
-    from rlbench.benchmark.run_plan import RunPlan
+    from rlbench.benchmark.run_plan import CellLoader, RunPlan, list_cells
     from rlbench.run import run_clip
 
     row = RowName.parse(key.method)
@@ -176,7 +174,7 @@ def _compute(key: FrameKey, clip: StoredSource) -> LinearImage:
         backend=row.options.backend,
         skip_tiles=row.options.skip_tiles,
     )
-    loader, (cell,) = CellLoader(plan), resolve_cells(plan)
+    loader, (cell,) = CellLoader(plan), list_cells(plan)
     results = run_clip(loader.method(cell), loader.clip(cell), key.target_spp)
     return method_image(key.method, frame_at(results, key.frame)).image
 

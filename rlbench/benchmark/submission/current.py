@@ -11,12 +11,11 @@ from collections import defaultdict
 from collections.abc import Collection, Iterable, Mapping
 
 from rlbench import registry
-from rlbench.benchmark.cell_ids import CellIds
-from rlbench.benchmark.cell_key import CellKey
+from rlbench.benchmark.cell_key import CellId, CellKey
 from rlbench.benchmark.clip_sources import StoredSource
-from rlbench.benchmark.resolve import resolve_cells
-from rlbench.benchmark.results import CellId, RowName
-from rlbench.benchmark.run_plan import RunPlan
+from rlbench.benchmark.content_hash import CellIds
+from rlbench.benchmark.results import RowName
+from rlbench.benchmark.run_plan import RunPlan, list_cells
 
 __all__ = ["plan_of", "uncheckable_methods", "outdated_cells"]
 
@@ -39,7 +38,7 @@ def outdated_cells(stored: Iterable[CellId], clips: Mapping[str, StoredSource]) 
         names = sorted({cell.key.clip for cell in cells})
         plan = plan_of(method, [clips[name] for name in names], spp, seeds)
         ids = CellIds(plan)
-        now = {_slot(cell.key): ids.cell_id(cell) for cell in resolve_cells(plan)}
+        now = {_slot(cell.key): ids.cell_id(cell) for cell in list_cells(plan)}
         here = {key.device for key in (each.key for each in now.values())}
         outdated += [
             cell.key

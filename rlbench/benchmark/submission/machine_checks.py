@@ -7,8 +7,8 @@ from functools import cache
 from pathlib import Path
 
 from rlbench import registry
-from rlbench.benchmark.cell_ids import CellIds
 from rlbench.benchmark.clip_sources import StoredSource
+from rlbench.benchmark.content_hash import CellIds
 from rlbench.benchmark.submission.current import plan_of, uncheckable_methods
 from rlbench.benchmark.submission.document import ClipFacts, Submission
 from rlbench.checks.result import CheckResult, failed, not_applicable, passed, warning

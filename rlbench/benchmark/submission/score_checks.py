@@ -15,10 +15,11 @@ from rlbench.benchmark.regression.baseline import (
     ScoreKey,
     find_baseline,
     load_baseline,
+    scores,
+    seeds,
     shipped_baselines,
 )
 from rlbench.benchmark.regression.comparison import BaselineDiff, compare
-from rlbench.benchmark.regression.scores import scores, seeds
 from rlbench.benchmark.results import COLUMNS
 from rlbench.benchmark.submission.current import plan_of, uncheckable_methods
 from rlbench.benchmark.submission.document import Submission, SubmittedCell

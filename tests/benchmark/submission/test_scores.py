@@ -7,7 +7,7 @@ from random import Random
 
 import pytest
 
-from rlbench.benchmark.regression.update import update_baseline
+from rlbench.benchmark.regression.baseline import update_baseline
 from rlbench.benchmark.results import read
 from rlbench.benchmark.submission.score_checks import (
     check_against_scores,
