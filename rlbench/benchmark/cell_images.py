@@ -12,7 +12,7 @@ import json
 import shlex
 import shutil
 from collections.abc import Collection, Iterable, Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass
 from hashlib import sha256
 from itertools import product
 from pathlib import Path
@@ -39,7 +39,7 @@ __all__ = [
     "KeptImages",
     "KeptImagesError",
     "drop_images",
-    "EvaluationError",
+    "KeptImagesError",
     "KeptCell",
     "find_images",
     "find_kept_cells",
@@ -47,7 +47,7 @@ __all__ = [
     "images_folder",
     "list_images",
     "write_images",
-    "MissingImagesError",
+    "KeptImagesError",
     "find_all_images",
 ]
 
@@ -59,7 +59,7 @@ HALF_MAX = 65504.0  # largest half float; brighter finite values are stored as t
 
 
 class KeptImagesError(RlbenchError, ValueError):
-    """Kept images that are missing, damaged, or written by a newer version."""
+    """Kept images that are missing, damaged, of another clip, or written by a newer version."""
 
 
 class KeptFrame(NamedTuple):
@@ -132,7 +132,7 @@ class KeptImages:
 
 def images_folder(results: Path, cell: CellId) -> Path:
     """The folder of a cell's images, whether or not it exists; times do not change its name."""
-    return results / FOLDER / _untimed(cell).file_stem
+    return results / FOLDER / cell.untimed.file_stem
 
 
 def frame_file(folder: Path, index: int) -> Path:
@@ -186,10 +186,6 @@ def drop_images(results: Path, cell: CellId) -> None:
     shutil.rmtree(folder, ignore_errors=True)
 
 
-def _untimed(cell: CellId) -> CellId:
-    return replace(cell, times_hash="")
-
-
 def _write_frame(folder: Path, index: int, frame: KeptFrame) -> str:
     """Write a frame; returns its checksum."""
     file = frame_file(folder, index)
@@ -218,16 +214,12 @@ def _read_record(folder: Path) -> KeptImages:
 MAX_NAMED = 6  # cells in a message
 
 
-class MissingImagesError(RlbenchError, ValueError):
-    """Cells whose images were not kept."""
-
-
 def find_all_images(
     folder: Path, methods: Sequence[str], clips: Collection[str], target_spp: Sequence[float]
 ) -> list[KeptImages]:
     """The images of each method on each clip at each budget; of all seeds and devices.
 
-    Raises MissingImagesError where a method, clip and budget has none.
+    Raises KeptImagesError where a method, clip and budget has none.
     """
     wanted_cells = set(product(methods, clips, target_spp))
     stored = [
@@ -240,7 +232,7 @@ def find_all_images(
     missing = wanted_cells - {(key.method, key.clip, key.target_spp) for key in keys}
     if missing:
         presets = {cell.key.preset for cell in stored}
-        raise MissingImagesError(_explain(folder, sorted(missing), presets))
+        raise KeptImagesError(_explain(folder, sorted(missing), presets))
     return found
 
 
@@ -268,10 +260,6 @@ def _join(words: Iterable[str]) -> str:
     return ",".join(dict.fromkeys(words))
 
 
-class EvaluationError(RlbenchError, ValueError):
-    """Images that cannot be scored: there are none, or they show another clip."""
-
-
 class KeptCell(NamedTuple):
     """A finished cell of a run whose images were kept."""
 
@@ -288,12 +276,12 @@ class KeptCell(NamedTuple):
 def image_pools(folder: Path) -> set[str]:
     """Kinds of the sample pools of all images in a results folder.
 
-    Raises EvaluationError where there is no image.
+    Raises KeptImagesError where there is no image.
     """
     pools = {images.pool for images in list_images(folder)}
     if not pools:
         problem = "has no images" if folder.is_dir() else "does not exist"
-        raise EvaluationError(f"{folder} {problem}; `rlbench run --keep-images` makes them")
+        raise KeptImagesError(f"{folder} {problem}; `rlbench run --keep-images` makes them")
     return pools
 
 
@@ -302,7 +290,7 @@ def find_kept_cells(
 ) -> list[KeptCell]:
     """The cells in a results folder with images of `clips`; all `methods`, or those named.
 
-    Raises EvaluationError where there is none, and where a clip has changed since the images.
+    Raises KeptImagesError where there is none, and where a clip has changed since the images.
     """
     by_name = {clip.header.name: clip for clip in clips}
     kept = []
@@ -314,14 +302,14 @@ def find_kept_cells(
     if not kept:
         keys = [images.cell.key for images in list_images(folder)]
         stored_methods, stored_clips = {key.method for key in keys}, {key.clip for key in keys}
-        raise EvaluationError(
+        raise KeptImagesError(
             f"{folder} has no images of {', '.join(methods) or 'any method'} on "
             f"{', '.join(by_name)}; it has {', '.join(sorted(stored_methods))} on "
             f"{', '.join(sorted(stored_clips))}. `rlbench run --keep-images` makes images"
         )
     for cell, images, clip in kept:
         if (digest := clip.content(images.pool)) != images.clip_digest:
-            raise EvaluationError(
+            raise KeptImagesError(
                 f"the images of '{cell.key}' show a clip with digest {images.clip_digest}, but "
                 f"{clip.folder} has {digest}, so its references may be others. Select the clip "
                 "of the images, or repeat `rlbench run --keep-images`"

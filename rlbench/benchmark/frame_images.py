@@ -159,14 +159,19 @@ def _linear_image(image: Tensor) -> LinearImage:
     return LinearImage(np.asarray(image[0].movedim(0, -1).float().cpu().numpy()))
 
 
-def _save(stem: Path, image: LinearImage) -> None:
-    """Write STEM.exr with linear radiance and STEM.png with clipped sRGB."""
+def save_png(pixels: UInt8[Array, "h w 3"], file: Path) -> None:
+    """Write an image as PNG; the file appears whole or not at all."""
     from PIL import Image
 
+    with paths.atomic_write(file) as temporary:
+        Image.fromarray(np.ascontiguousarray(pixels)).save(temporary, format="png", optimize=True)
+
+
+def _save(stem: Path, image: LinearImage) -> None:
+    """Write STEM.exr with linear radiance and STEM.png with clipped sRGB."""
     planes = np.moveaxis(image.radiance.astype(np.float32), -1, 0)
     write_exr(stem.parent / f"{stem.name}.exr", dict(zip("RGB", planes, strict=True)))
-    with paths.atomic_write(stem.parent / f"{stem.name}.png") as temporary:
-        Image.fromarray(image.rgb8).save(temporary, format="png")
+    save_png(image.rgb8, stem.parent / f"{stem.name}.png")
 
 
 NONFINITE_COLOUR = (255, 0, 255)  # of NaN and infinite pixels, which a display would hide

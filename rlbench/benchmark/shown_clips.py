@@ -85,7 +85,7 @@ def find_shown_clips(
     """Each of `clips` with the images that a results folder keeps of these methods and budgets.
 
     Clips without images are left out, and G-buffer channels that are not among `buffers`. Of
-    several seeds or devices the first is shown. Raises EvaluationError where there are no images,
+    several seeds or devices the first is shown. Raises KeptImagesError where there are no images,
     or where a clip has changed since.
     """
     first: dict[CellKey, KeptCell] = {}  # without seed and device

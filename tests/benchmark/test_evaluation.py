@@ -13,7 +13,7 @@ from metrics.catalog import PSNR
 from rlbench import registry
 from rlbench.benchmark import cell_images
 from rlbench.benchmark import results as table
-from rlbench.benchmark.cell_images import EvaluationError, find_kept_cells
+from rlbench.benchmark.cell_images import KeptImagesError, find_kept_cells
 from rlbench.benchmark.clip_sources import StoredSource
 from rlbench.benchmark.evaluation import (
     EvaluatedMetric,
@@ -181,15 +181,15 @@ def test_images_of_another_clip_are_refused(results, tmp_path):
     changed = open_clip(other).digest
     shutil.copy(other / "referenceA.0002.exr", other / "referenceA.0001.exr")
     assert open_clip(other).digest != changed
-    with pytest.raises(EvaluationError, match=r"show a clip with digest \w+, but .*other/noise"):
+    with pytest.raises(KeptImagesError, match=r"show a clip with digest \w+, but .*other/noise"):
         score(results, other, "psnr")
 
 
 def test_results_without_images_are_refused(clip_folder, tmp_path, results):
     measure(run_plan(clip_folder), tmp_path / "plain")
-    with pytest.raises(EvaluationError, match="has no images of any method on noise"):
+    with pytest.raises(KeptImagesError, match="has no images of any method on noise"):
         score(tmp_path / "plain", clip_folder, "psnr")
-    with pytest.raises(EvaluationError, match="it has eaw, mean on noise"):
+    with pytest.raises(KeptImagesError, match="it has eaw, mean on noise"):
         score(results, clip_folder, "psnr", methods=["svgf"])
 
 
