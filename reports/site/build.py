@@ -18,7 +18,7 @@ from reports.site.preset_scores import PresetScores
 from reports.site.scene_page import scene_page, scene_path
 
 if TYPE_CHECKING:
-    from rlbench.benchmark.site_facts import MethodFacts, SceneFacts
+    from rlbench.benchmark.listing import MethodFacts, SceneFacts
 
 __all__ = ["build_pages"]
 

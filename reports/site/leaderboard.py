@@ -14,7 +14,7 @@ from reports.viewer.page import to_json
 from reports.viewer.table_data import provenance
 
 if TYPE_CHECKING:
-    from rlbench.benchmark.site_facts import MethodFacts
+    from rlbench.benchmark.listing import MethodFacts
 
 __all__ = ["ASSETS", "leaderboard_data", "leaderboard_page", "leaderboard_path", "modules"]
 

@@ -11,7 +11,7 @@ from reports.site.markdown import escape, facts, front_matter, link, method_path
 from reports.site.preset_scores import PresetScores
 
 if TYPE_CHECKING:
-    from rlbench.benchmark.site_facts import MethodFacts
+    from rlbench.benchmark.listing import MethodFacts
     from rlbench.weights import ModelCard
 
 __all__ = ["method_page", "paper_links"]

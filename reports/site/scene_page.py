@@ -10,7 +10,7 @@ from reports.site.markdown import escape, facts, front_matter, link, method_path
 from reports.site.preset_scores import PresetScores
 
 if TYPE_CHECKING:
-    from rlbench.benchmark.site_facts import SceneFacts, TakeFacts
+    from rlbench.benchmark.listing import SceneFacts, TakeFacts
 
 __all__ = ["scene_page", "scene_path"]
 

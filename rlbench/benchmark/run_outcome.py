@@ -2,21 +2,21 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+import math
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from rlbench.benchmark import latency, results
-from rlbench.benchmark.resolve import resolve_method
-from rlbench.benchmark.run_plan import RunPlan
-from rlbench.benchmark.run_verdict import RunVerdict, judge_run
+from rlbench.benchmark.cell_key import CellKey
+from rlbench.benchmark.run_plan import RunPlan, row_name
 from rlbench.benchmark.runner import RunSummary
 
 if TYPE_CHECKING:
     import pandas as pd
 
-__all__ = ["RunOutcome", "ScoreRow", "read_outcome"]
+__all__ = ["RunOutcome", "ScoreRow", "read_outcome", "RunVerdict", "RunWarning", "judge_run"]
 
 HEADLINE = ("psnr", "psnr_debiased")
 TIMES = ("inference_ms", "frame_ms")
@@ -57,10 +57,10 @@ def read_outcome(
     `row_names` are the methods' names in the results, where they are not those of the plan.
     """
     rows = results.read(folder)
-    names = list(row_names) or [resolve_method(plan, name).row_name for name in plan.methods]
+    names = list(row_names) or [row_name(plan, name) for name in plan.methods]
     clips = [clip.header.name for clip in plan.clips]
     rows = rows[rows["method"].isin(names) & rows["clip"].isin(clips)]
-    rows = rows[rows["target_spp"].isin(plan.target_spp) & rows["seed"].isin(plan.seeds)]
+    rows = rows[rows["target_spp"].isin(plan.spp) & rows["seed"].isin(plan.seeds)]
     rows = rows[rows["device"] == latency.device_name(plan.device)]
     return RunOutcome(
         folder=folder,
@@ -121,3 +121,91 @@ def _is_unreliable(rows: pd.DataFrame) -> pd.Series[bool]:
 
 def _number(value: float | None) -> float | None:
     return None if value is None or value != value else float(value)
+
+
+NONFINITE = "nonfinite"  # metric that counts pixels with a NaN or infinite channel
+MAX_NAMES = 3  # cells that a sentence names
+
+
+class RunWarning(UserWarning):
+    """A run whose rows lack numbers that were requested; issued by `rlbench.run`."""
+
+
+@dataclass(frozen=True)
+class NonFinite:
+    """A cell with NaN or infinite values, counted in the frame that has most of them."""
+
+    cell: CellKey
+    frame: int
+    pixels: int  # with a channel that is not finite
+    of_pixels: int
+
+    def __str__(self) -> str:
+        """The cell and the number of pixels, for messages.
+
+        >>> print(NonFinite(CellKey("nan", "city", 1.0, 0, "EPYC"), 3, 16, 36864))
+        nan: 16 of 36864 pixels not finite in frame 3 of city at 1 spp, seed 0
+        """
+        key, total = self.cell, f" of {self.of_pixels}" * bool(self.of_pixels)
+        return (
+            f"{key.method}: {self.pixels}{total} pixels not finite in frame {self.frame} of "
+            f"{key.clip} at {key.target_spp:g} spp, seed {key.seed}"
+        )
+
+
+@dataclass(frozen=True)
+class RunVerdict:
+    """Whether a run measured what it could. A cell that a method does not support is no failure.
+
+    >>> print(RunVerdict((), (), has_numbers=True))
+    passed: no cell failed, all images are finite
+    """
+
+    failed: tuple[CellKey, ...]  # cells that an error stopped
+    nonfinite: tuple[NonFinite, ...]  # cells with an image that has NaN or infinite values
+    has_numbers: bool
+
+    @property
+    def has_passed(self) -> bool:
+        """Is there a number, no failed cell, and no image that is not finite?"""
+        return self.has_numbers and not self.failed and not self.nonfinite
+
+    def __str__(self) -> str:
+        """The verdict in one line, with the first cells of each kind."""
+        if self.has_passed:
+            return "passed: no cell failed, all images are finite"
+        faults = {
+            "stopped by an error": self.failed,
+            "with images that are not finite": [each.cell for each in self.nonfinite],
+        }
+        parts = [f"{_count(cells)} {what} ({_names(cells)})" for what, cells in faults.items()]
+        parts = [part for part, cells in zip(parts, faults.values(), strict=True) if cells]
+        return f"FAILED: {'; '.join(parts) or 'no cell has a number'}"
+
+
+def judge_run(summary: RunSummary, rows: pd.DataFrame) -> RunVerdict:
+    """The verdict on a run with these counts and with these rows, measured now or before."""
+    bad = rows[(rows["metric"] == NONFINITE) & (rows["value"] > 0)]
+    columns = ["method", "clip", "target_spp", "seed", "device"]
+    worst = bad.sort_values(["value", "frame"], ascending=[False, True], kind="stable")
+    worst = worst.drop_duplicates(columns).sort_index()
+    counted = worst[[*columns, "frame", "value", "size"]].itertuples(index=False, name=None)
+    nonfinite = tuple(
+        NonFinite(CellKey(*cell), int(frame), int(pixels), _pixels(size))
+        for *cell, frame, pixels, size in counted
+    )
+    return RunVerdict(summary.failures, nonfinite, bool(rows["value"].notna().any()))
+
+
+def _pixels(size: str) -> int:
+    """The number of pixels of a size such as 192x192; 0 for the empty one of older results."""
+    return math.prod(map(int, size.split("x"))) if size else 0
+
+
+def _count(cells: Sequence[CellKey]) -> str:
+    return f"{len(cells)} cell{'s' if len(cells) > 1 else ''}"
+
+
+def _names(cells: Sequence[CellKey]) -> str:
+    more = f", and {len(cells) - MAX_NAMES} more" if len(cells) > MAX_NAMES else ""
+    return ", ".join(map(str, cells[:MAX_NAMES])) + more

@@ -1,4 +1,4 @@
-"""Content hashes of cells: a hash of all that a cell's numbers depend on."""
+"""Content hashes of cells: a hash of all that a cell's scores depend on, and one of its times."""
 
 from __future__ import annotations
 
@@ -14,23 +14,19 @@ from rlbench import registry
 from rlbench.backends import EAGER
 from rlbench.benchmark import cost
 from rlbench.benchmark.cell_key import CellId
-from rlbench.benchmark.resolve import ResolvedCell, ResolvedMethod, resolve_cells, resolve_method
 from rlbench.benchmark.results import HELD_OUT_PREFIX
-from rlbench.benchmark.run_plan import RunPlan
+from rlbench.benchmark.run_plan import Cell, RunPlan, list_cells, weights_file
 from rlbench.clips.header import ClipError
 from rlbench.system import code_hash, provenance
 
 __all__ = ["CellIds"]
 
-SCORING = ("rlbench.benchmark.ground_truth_cache", "rlbench.benchmark.scoring")  # images to numbers
+SCORING = ("rlbench.benchmark.scoring",)  # images to numbers
 TIMING = (
     "rlbench.benchmark.clock",
     "rlbench.benchmark.cost",
-    "rlbench.benchmark.cost_profile",
     "rlbench.benchmark.latency",
-    "rlbench.benchmark.scatter",
-    "rlbench.benchmark.time_rows",
-    "rlbench.benchmark.timing_cache",
+    "rlbench.benchmark.timing",
     "rlbench.render.jobs.scatter",
     "rlbench.render.mitsuba.tracer",
     "rlbench.system.memory",
@@ -43,26 +39,27 @@ class CellIds:
 
     plan: RunPlan
 
-    def cell_id(self, cell: ResolvedCell) -> CellId:
+    def cell_id(self, cell: Cell) -> CellId:
         """The cell's key, and the hashes of its scores and times."""
-        plan, method, header = self.plan, cell.method, cell.header
+        plan, name, header = self.plan, cell.method, cell.header
+        wrappers = ["rlbench.wrappers"]
         content = (
-            *(method.name, _clip_content(cell)),
+            *(name, _clip_content(cell)),
             *(header.cuts, header.light_changes, header.noise_ceiling_db, header.limitations),
-            *(cell.target_spp, cell.seed, cell.key.device),
-            *(self.code_hashes[method.name], self.weights_hashes[method.name], self._metrics),
+            *(cell.spp, cell.key.seed, cell.key.device),
+            *(self.code_hashes[name], self.weights_hashes[name], self._metrics),
             *(plan.limit_frames, torch.__version__, cell.is_trained_on_clip),
-            self._bf16 if method.bf16 else "",
-            *((self._backend,) if method.backend != EAGER else ()),
-            *((self._skip_tiles,) if method.skip_tiles else ()),
+            self._code(*wrappers) if cell.bf16 else "",
+            *((self._backend,) if cell.backend != EAGER else ()),
+            *((self._code(*wrappers, "rlbench.ops.tiles"),) if cell.skip_tiles else ()),
         )
-        times = (self._cost, plan.repeats, self._charged(cell), self._timing)
+        times = (self._cost, plan.repeats, self._charged(cell), self._code(*TIMING))
         return CellId(cell.key, _short_hash(content), _short_hash(times))
 
     @cached_property
     def run_id(self) -> str:
         """Hash of the whole plan: the same command on the same content has the same."""
-        ids = repr([self.cell_id(cell) for cell in resolve_cells(self.plan)])
+        ids = repr([self.cell_id(cell) for cell in list_cells(self.plan)])
         return sha256(ids.encode()).hexdigest()[:12]
 
     @cached_property
@@ -71,44 +68,33 @@ class CellIds:
 
         Empty where the code cannot be found; building the method then reports the reason.
         """
-        return {method.name: registry.method_code_hash(method.name) for method in self._methods}
+        return {name: registry.method_code_hash(name) for name in self.plan.methods}
 
     @cached_property
     def weights_hashes(self) -> dict[str, str]:
         """Hash of each method's weights and versions of the packages that make its images."""
-        return {
-            method.name: ", ".join(
-                filter(
-                    None, (self._weights_hash(method), provenance.package_versions(method.requires))
-                )
-            )
-            for method in self._methods
-        }
+        return {name: self._weights_hash(name) for name in self.plan.methods}
 
     @cached_property
-    def _methods(self) -> list[ResolvedMethod]:
-        return [resolve_method(self.plan, name) for name in self.plan.methods]
+    def _codes(self) -> dict[tuple[str, ...], str]:
+        return {}
+
+    def _code(self, *modules: str) -> str:
+        """Hash of the code of these modules, whatever they import."""
+        if modules not in self._codes:
+            self._codes[modules] = code_hash.code_hash(modules, core=())
+        return self._codes[modules]
+
+    @cached_property
+    def _backend(self) -> str:
+        """The plan's backend, a hash of its code, and the version of its package."""
+        hashed = self._code("rlbench.backends")
+        return f"{self.plan.backend} {hashed} {provenance.package_versions(['openvino'])}"
 
     @cached_property
     def _machine(self) -> str:
         """The machine whose path tracer samples are charged by."""
         return provenance.machine().name
-
-    @cached_property
-    def _bf16(self) -> str:
-        """Hash of the code that runs a method in bfloat16."""
-        return code_hash.code_hash(["rlbench.wrappers"], core=())
-
-    @cached_property
-    def _skip_tiles(self) -> str:
-        """Hash of the code that keeps unchanged tiles."""
-        return code_hash.code_hash(["rlbench.wrappers", "rlbench.ops.tiles"], core=())
-
-    @cached_property
-    def _backend(self) -> str:
-        """Hash of the code of the plan's backend, and the version of its package."""
-        hashed = code_hash.code_hash(["rlbench.backends"], core=())
-        return f"{self.plan.backend} {hashed} {provenance.package_versions(['openvino'])}"
 
     @cached_property
     def _cost(self) -> str:
@@ -117,14 +103,9 @@ class CellIds:
         return cost.MEASURED if is_measured else repr(cost.profile(self.plan.cost))
 
     @cached_property
-    def _timing(self) -> str:
-        """Hash of the code that measures times."""
-        return code_hash.code_hash(TIMING, core=())
-
-    @cached_property
     def _tracing(self) -> dict[tuple[str, str], str]:
         """What times a sample of each clip and pool here; empty where the header has its time."""
-        pools = {method.traits.pool for method in self._methods}
+        pools = {registry.get_variant(name).traits.pool for name in self.plan.methods}
         return {
             (clip.header.name, pool): cost.tracing(clip.header, self._machine, pool)
             for clip, pool in product(self.plan.clips, pools)
@@ -141,7 +122,7 @@ class CellIds:
         packages = sorted({name for metric in metrics.values() for name in metric.requires})
         return f"{list(metrics)} {hashed} {provenance.package_versions(packages)}"
 
-    def _charged(self, cell: ResolvedCell) -> tuple[object, ...]:
+    def _charged(self, cell: Cell) -> tuple[object, ...]:
         """What the cost of a sample depends on, beyond the profile.
 
         A profile knows the cost of path samples in every scene, and of another pool only relative
@@ -157,15 +138,18 @@ class CellIds:
             return gbuffer
         return header.sample_ms_of(pool), header.sample_ms_of("path"), header.device, gbuffer
 
-    def _weights_hash(self, method: ResolvedMethod) -> str:
-        if method.weights_file is None:
-            return "random" if method.learned else ""
-        held_out = self.plan.held_out_scene
-        prefix = f"{HELD_OUT_PREFIX}{held_out} " if held_out else ""
-        return prefix + _hash(method.weights_file)
+    def _weights_hash(self, name: str) -> str:
+        variant, held_out = registry.get_variant(name), self.plan.held_out_scene
+        file = weights_file(self.plan, name)
+        content = "random" if variant.learned else ""
+        if file is not None:
+            content = f"{HELD_OUT_PREFIX}{held_out} " if held_out else ""
+            content += _hash_file(file)
+        parts = content, provenance.package_versions(variant.requires)
+        return ", ".join(filter(None, parts))
 
 
-def _clip_content(cell: ResolvedCell) -> str:
+def _clip_content(cell: Cell) -> str:
     """Hash of the cell's clip; what is wrong with it where files are missing.
 
     Opening such a clip raises the same error, so its cells fail, and no others.
@@ -180,7 +164,7 @@ def _short_hash(content: object) -> str:
     return sha256(repr(content).encode()).hexdigest()[:16]
 
 
-def _hash(file: Path) -> str:
+def _hash_file(file: Path) -> str:
     """Hash of a file's name and content; empty without a file."""
     if not file.is_file():
         return ""
