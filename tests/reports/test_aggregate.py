@@ -8,7 +8,7 @@ from dataclasses import replace
 import pandas as pd
 import pytest
 
-from reports.analysis.aggregate import Scores, mean_over_scenes, metrics_with_values
+from reports.analysis.scores import Scores, mean_over_scenes, metrics_with_values
 from rlbench.benchmark.results import to_dataframe
 from tests.reports.conftest import BUDGETS, METHODS, SAMPLE_MS, SCENES, psnr, rows
 

@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import pytest
 
-from reports.analysis.comparability import ReportError, check_comparable, split_by_device
+from reports.analysis.rows import ReportError, check_comparable, split_by_device
 from rlbench.benchmark.results import to_dataframe
 from tests.reports.conftest import rows
 

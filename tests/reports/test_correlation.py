@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from reports.analysis.correlation import kendall_tau, std_with_interval
+from reports.analysis.ranking import kendall_tau, std_with_interval
 
 TIED = ([3.0, 1.0, 2.0, 2.0, 5.0], [30.0, 11.0, 10.0, 25.0, 24.0])
 

@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from reports.analysis.aggregate import Scores
+from reports.analysis.scores import Scores
 from reports.analysis.curves import curves_of, measured_sample_ms, methods_without_curve
 from reports.analysis.intervals import interval_ends, mean_with_interval, pair
 from tests.reports.formula_results import THREE, Formula, curve, table

@@ -5,7 +5,7 @@ from __future__ import annotations
 import pandas as pd
 import pytest
 
-from reports.analysis.misses import has_late_scores, with_misses
+from reports.analysis.scores import has_late_scores, with_misses
 
 
 def table(*rows):

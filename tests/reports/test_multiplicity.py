@@ -9,7 +9,7 @@ import pandas as pd
 import pytest
 
 from reports.analysis.intervals import interval_of
-from reports.analysis.multiplicity import (
+from reports.analysis.differences import (
     correct_by_holm,
     difference_columns,
     difference_notes,

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from reports.analysis.intervals import interval_ends
-from reports.analysis.power import smallest_resolvable, standardised_resolvable
+from reports.analysis.intervals import smallest_resolvable, standardised_resolvable
 
 
 @pytest.mark.parametrize(("effect", "units"), [(0.2, 199), (0.5, 34), (0.8, 15)])

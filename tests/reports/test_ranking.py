@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from reports.analysis.aggregate import Scores
+from reports.analysis.scores import Scores
 from reports.analysis.intervals import mean_with_interval, pair
 from reports.analysis.ranking import rank_methods
 from rlbench.benchmark.results import to_dataframe

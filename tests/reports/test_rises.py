@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from reports.analysis.rises import longest_rise
+from reports.layout.curve_labels import longest_rise
 
 
 @pytest.mark.parametrize(

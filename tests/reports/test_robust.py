@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from reports.analysis.robust import (
+from reports.compare import (
     interquartile_mean,
     performance_profile,
     probability_of_improvement,

@@ -9,7 +9,7 @@ import pytest
 from scipy import stats
 
 from reports.analysis.intervals import Interval, interval_of
-from reports.analysis.verdicts import describe_difference, name_verdict
+from reports.analysis.differences import describe_difference, name_verdict
 
 CASES = {  # ends of the interval in dB -> verdict
     (-0.04, 0.06): "tie",

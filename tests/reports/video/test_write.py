@@ -11,8 +11,8 @@ import pytest
 from PIL import Image
 
 from reports.video import VideoStyle, write
-from reports.video.encode import write_mp4, write_webp
-from reports.video.layouts import GAP, divider_position
+from reports.video.write import write_mp4, write_webp
+from reports.video.pictures import GAP, divider_position
 from reports.video.style import VideoError
 from tests.reports.video.conftest import FRAMES, METHODS, SIDE
 

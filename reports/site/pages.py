@@ -1,4 +1,4 @@
-"""The page of one method: question, paper, needs, weights, scores, image."""
+"""The pages of one method and of one scene: facts, scores, images."""
 
 from __future__ import annotations
 
@@ -11,10 +11,9 @@ from reports.site.markdown import escape, facts, front_matter, link, method_path
 from reports.site.preset_scores import PresetScores
 
 if TYPE_CHECKING:
-    from rlbench.benchmark.site_facts import MethodFacts
+    from rlbench.benchmark.site_facts import MethodFacts, SceneFacts, TakeFacts
     from rlbench.weights import ModelCard
 
-__all__ = ["method_page", "paper_links"]
 
 MAX_SCENES = 8  # of a preset whose scenes have columns of their own
 PAPERS = Path(__file__).parent / "papers.toml"
@@ -41,10 +40,10 @@ def method_page(
     """
     page = method_path(method.name)
     parts = [front_matter(method.name), f"# `{method.name}`\n", f"*{escape(method.title)}*\n"]
-    parts += [f"> {escape(method.question)}\n", _facts(method, links, scores)]
+    parts += [f"> {escape(method.question)}\n", _method_facts(method, links, scores)]
     measured = [each for each in scores if method.name in each.methods]
     parts += ["## Scores\n"]
-    parts += [_scores(method.name, each, page) for each in measured] or [_unmeasured(method)]
+    parts += [_method_scores(method.name, each, page) for each in measured] or [_unmeasured(method)]
     if method.card:
         parts += ["## Weights\n", _card(method.card)]
     if images:
@@ -53,7 +52,9 @@ def method_page(
     return "\n".join(parts)
 
 
-def _facts(method: MethodFacts, links: Mapping[str, str], scores: Sequence[PresetScores]) -> str:
+def _method_facts(
+    method: MethodFacts, links: Mapping[str, str], scores: Sequence[PresetScores]
+) -> str:
     traits = method.traits
     paper = escape(method.paper)
     url = links.get(method.family)
@@ -102,7 +103,7 @@ def _cost(name: str, scores: Sequence[PresetScores]) -> str:
     return "times belong to a machine: `rlbench speed` measures them"
 
 
-def _scores(name: str, scores: PresetScores, page: str) -> str:
+def _method_scores(name: str, scores: PresetScores, page: str) -> str:
     title = link(scores.preset or "own clips", f"leaderboard/{scores.preset or 'clips'}.md", page)
     device = f", {escape(scores.device)}" if scores.device else ""
     scenes = scores.scenes if 1 < len(scores.scenes) <= MAX_SCENES else []
@@ -189,3 +190,98 @@ def _siblings(method: MethodFacts, siblings: Sequence[MethodFacts], page: str) -
     if not others:
         return ""
     return "## Other rows of the family\n\n" + table(("row", "question"), others, numbers=False)
+
+
+STANDS_IN_FOR = {  # the scenes of Scardigli et al. 2023
+    "city": "Emerald Square: an outdoor square with foliage, sun and sky",
+    "temple": "SunTemple: an interior lit through narrow openings",
+    "hall": "ZeroDay: a dark interior with hundreds of small emitters",
+    "ripples": "Ripple Dreams: glass, water and caustics",
+}
+
+
+def scene_path(name: str) -> str:
+    """The page of a scene."""
+    return f"scenes/{name}.md"
+
+
+def scene_page(
+    scene: SceneFacts, scores: Sequence[PresetScores], picture: str, pages: frozenset[str]
+) -> str:
+    """The page in Markdown; `picture` is a path in the documents, empty without one.
+
+    `pages` are the methods that have a page.
+    """
+    page = scene_path(scene.name)
+    parts = [front_matter(scene.name), f"# {escape(scene.title)}\n"]
+    if picture:
+        parts += [f"!{link(escape(scene.title), picture, page)}" + "{ width=512 }\n"]
+    parts += [f"{escape(text)}\n" for text in scene.about]
+    parts += [_scene_facts(scene), _takes(scene.takes)]
+    for each in scores:
+        if scene.name in each.scenes:
+            parts.append(_scene_scores(scene.name, each, page, pages))
+    return "\n".join(parts)
+
+
+def _scene_facts(scene: SceneFacts) -> str:
+    rows = [
+        ("Stands in for", escape(STANDS_IN_FOR.get(scene.name, ""))),
+        ("Lights", escape("; ".join(scene.lights))),
+        ("Geometry", f"{scene.triangles:,} triangles" if scene.triangles else ""),
+        ("Presets", ", ".join(f"`{name}`" for name in scene.presets)),
+        ("Licence of images", escape(scene.licence)),
+    ]
+    return facts(rows)
+
+
+def _takes(takes: Sequence[TakeFacts]) -> str:
+    if not takes:
+        return ""
+    rows = [
+        (
+            f"`{take.clip}`",
+            "static" if take.static else "animated",
+            _frames(take.cuts),
+            _frames(take.light_changes),
+        )
+        for take in takes
+    ]
+    head = ("clip", "camera and objects", "cut at frame", "lights switch at frame")
+    return "## Clips\n\n" + table(head, rows, numbers=False)
+
+
+def _frames(frames: Sequence[int]) -> str:
+    return ", ".join(map(str, frames)) or "–"
+
+
+def _scene_scores(scene: str, scores: PresetScores, page: str, pages: frozenset[str]) -> str:
+    """PSNR of all rows at all budgets, best first at the budget with most rows."""
+    counts = {
+        spp: sum(scores.record(m, spp, scene) is not None for m in scores.methods)
+        for spp in scores.budgets
+    }
+    first = max(scores.budgets, key=lambda spp: (counts[spp], -abs(math.log2(spp or 1e-9))))
+
+    def rank(method: str) -> tuple[float, str]:
+        record = scores.record(method, first, scene)
+        return (-record["mean"] if record else math.inf, method)
+
+    rows = []
+    for method in sorted(scores.methods, key=rank):
+        name = escape(method)
+        cell = link(name, method_path(method), page) if method in pages else name
+        rows.append([cell, *(_score(method, scores, scene, spp) for spp in scores.budgets)])
+    title = link(scores.preset or "own clips", f"leaderboard/{scores.preset or 'clips'}.md", page)
+    return (
+        f"## Scores: {title}\n\nPSNR in dB ± standard error over the frames, best at {first:g} spp "
+        f"first. {scores.source}\n\n"
+        + table(["method", *(f"{spp:g} spp" for spp in scores.budgets)], rows)
+    )
+
+
+def _score(method: str, scores: PresetScores, scene: str, spp: float) -> str:
+    if not (record := scores.record(method, spp, scene)):
+        return "–"
+    error = scores.error(method, scene, spp)
+    return unbroken(f"{record['mean']:.2f}" + ("" if math.isnan(error) else f" ±{error:.2f}"))

@@ -2,30 +2,32 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cached_property
 
 import pandas as pd
 
-from reports.analysis import notes
-from reports.analysis.comparability import cost_source
-from reports.analysis.intervals import FRAME
-from reports.analysis.time_notes import device_mixes, unreliable_rows, unreliable_times
-from rlbench.benchmark.results import (
-    CLOCK_PREFIX,
-    COUNT_PREFIX,
-    EVENT_PREFIX,
-    NOISE_CEILING,
+from reports.analysis.intervals import FRAME, Interval, mean_with_interval, pair
+from reports.analysis.rows import (
+    check_comparable,
+    cost_source,
+    device_mixes,
+    remarks,
+    skip_reasons,
+    split_by_device,
+    unreliable_rows,
+    unreliable_times,
 )
-
-__all__ = ["FRAME_PARTS", "Scores", "keep_first_frames", "mean_over_scenes", "metrics_with_values"]
+from rlbench.benchmark.results import CLOCK_PREFIX, COUNT_PREFIX, EVENT_PREFIX, NOISE_CEILING
 
 HEADLINE = ["psnr", "psnr_debiased"]  # metrics that come first
 GROUP = ["method", "scene", "target_spp"]
 FRAME_PARTS = ["gbuffer_ms", "plan_ms", "allocate_ms", "sampling_ms", "denoise_ms"]  # of frame_ms
 INFERENCE = ["plan_ms", "allocate_ms", "denoise_ms"]
 TIMES = [*FRAME_PARTS, "inference_p95_ms"]
-ADDED = ["gbuffer_ms", "allocate_ms"]  # that older results do not have, and did not charge
+LATE_SHARE = 0.05  # of the frames, where the deadline is the p95 of the frame time
+CELL = ["method", "clip", "target_spp", "seed", "device", "frame"]
 
 
 def metrics_with_values(rows: pd.DataFrame) -> list[str]:
@@ -132,9 +134,7 @@ class Scores:
         Columns method, scene, target_spp, value, mean_spp, gbuffer_ms, plan_ms, allocate_ms,
         sampling_ms, denoise_ms, inference_p95_ms, sample_ms, inference_ms, frame_ms, unreliable;
         inference = plan + allocate + denoise, and frame = gbuffer + inference + sampling. Times
-        that were not measured are nan. Older results have no G-buffer and no allocation, which
-        count as 0, and medians for plan and denoise. `unreliable` marks times that failed their
-        test.
+        that were not measured are nan. `unreliable` marks times that failed their test.
         """
         spp = self.measured.groupby(GROUP)["mean_spp"].mean().reset_index()
         points = self.scene_means.merge(spp, on=GROUP, how="left")
@@ -142,9 +142,6 @@ class Scores:
         times = timed.pivot_table("value", GROUP, "metric").reindex(columns=TIMES).reset_index()
         points = points.merge(times, on=GROUP, how="left")
         points = points.merge(self._sample_ms, on=["method", "scene"], how="left")
-        points[ADDED] = points[ADDED].astype(float).fillna(0.0)
-        by_mean = points["mean_spp"] * points["sample_ms"]
-        points["sampling_ms"] = points["sampling_ms"].astype(float).fillna(by_mean)
         points["inference_ms"] = points[INFERENCE].sum(axis=1, skipna=False)
         points["frame_ms"] = points[FRAME_PARTS].sum(axis=1, skipna=False)
         marked = unreliable_rows(self.rows)[GROUP].drop_duplicates().assign(unreliable=True)
@@ -166,6 +163,12 @@ class Scores:
         """Mean over scenes of `points`, of methods and budgets with a score on every scene."""
         return mean_over_scenes(self.points)
 
+    def gap(self, first: str, second: str, spp: float) -> Interval:
+        """Score of `first` minus that of `second` at a budget, paired by frame."""
+        frames = self.per_frame[self.per_frame["target_spp"] == spp]
+        one, other = (frames[frames["method"] == method] for method in (first, second))
+        return mean_with_interval(pair(one, other))
+
     @cached_property
     def incomplete_groups(self) -> list[str]:
         """Methods without a mean because they lack frames or scenes, one sentence each."""
@@ -184,12 +187,12 @@ class Scores:
     @property
     def skip_reasons(self) -> list[str]:
         """Why the metric was not measured, one sentence for each method and reason."""
-        return notes.skip_reasons(self.all_rows)
+        return skip_reasons(self.all_rows)
 
     @property
     def remarks(self) -> list[str]:
         """Notes on the metric's measured rows."""
-        return notes.remarks(self.all_rows)
+        return remarks(self.all_rows)
 
     @cached_property
     def _all_frames(self) -> pd.DataFrame:
@@ -210,3 +213,26 @@ class Scores:
         samples = self.rows[self.rows["metric"] == "sample_ms"]
         clips: pd.Series[float] = samples.groupby(["method", "scene", "clip"])["value"].mean()
         return clips.groupby(["method", "scene"]).mean().rename("sample_ms").reset_index()
+
+
+def scores_by_device(results: pd.DataFrame, metric: str = "psnr") -> Iterator[Scores]:
+    """The scores of each device. Raises ReportError where its rows cannot be compared."""
+    for device, rows in split_by_device(results).items():
+        check_comparable(rows)
+        yield Scores(rows, metric, device)
+
+
+def with_misses(rows: pd.DataFrame, share: float = LATE_SHARE) -> pd.DataFrame:
+    """The rows, with the expected PSNR of each frame if `share` of the frames are late.
+
+    A frame is late by chance, and the frame before it was in time, so that the expected PSNR is
+    (1 - share) psnr + share psnr_late. The first frame of a clip, and frames without `psnr_late`,
+    keep their PSNR.
+    """
+    late = rows[rows["metric"] == "psnr_late"].set_index(CELL)["value"]
+    scores = rows["metric"] == "psnr"
+    keys = pd.MultiIndex.from_frame(rows.loc[scores, CELL])
+    repeated = late.reindex(keys).to_numpy()
+    in_time = rows.loc[scores, "value"]
+    expected = (1 - share) * in_time + share * pd.Series(repeated, in_time.index)
+    return rows.assign(value=rows["value"].mask(scores, expected.fillna(in_time)))
