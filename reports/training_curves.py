@@ -11,10 +11,13 @@ from importlib.resources import files
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
+import matplotlib as mpl
+from matplotlib.figure import Figure
+
 from reports.analysis.rows import family_of
 from reports.layout.curve_labels import spread_labels
-from reports.layout.files import drawn_png, folder_argument
-from reports.layout.style import LineStyle, line_styles
+from reports.layout.files import folder_argument
+from reports.layout.style import RC, LineStyle, line_styles
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -55,8 +58,8 @@ def read_cards(paths: Iterable[Path]) -> list[Training]:
     return sorted(trainings)
 
 
-def draw_trainings(trainings: Iterable[Training], file: Path) -> None:
-    """Write a PNG of three panels: `ours`, the rivals, and the paper's recipe.
+def draw_trainings(trainings: Iterable[Training]) -> Figure:
+    """Three panels: `ours`, the rivals, and the paper's recipe, each on its scale.
 
     Names stand beside the ends of their curves, best first.
     """
@@ -66,7 +69,8 @@ def draw_trainings(trainings: Iterable[Training], file: Path) -> None:
         panels[TITLES[2 if is_paper else 0 if is_ours else 1]].append(training)
     panels = {title: chosen for title, chosen in panels.items() if chosen}
     width, height = PANEL
-    with drawn_png(file, (width * len(panels), height)) as figure:
+    with mpl.rc_context(RC):
+        figure = Figure(figsize=(width * len(panels), height), layout="constrained")
         axes: Any = figure.subplots(1, len(panels), squeeze=False)[0]
         for panel, (title, chosen) in zip(axes, panels.items(), strict=True):
             panel.set_title(title, loc="left")
@@ -74,6 +78,7 @@ def draw_trainings(trainings: Iterable[Training], file: Path) -> None:
             _draw_panel(panel, chosen)
         axes[0].set_ylabel("validation PSNR [dB]")
         figure.supxlabel(CAPTION, fontsize=11, x=0.01, ha="left")
+    return figure
 
 
 def _draw_panel(axes: Axes, trainings: list[Training]) -> None:
@@ -105,7 +110,8 @@ def _write_names(axes: Axes, ends: Mapping[str, float], styles: Mapping[str, Lin
 
 def main(folder: Path) -> None:
     """Draw the cards that ship as `training.png` in `folder`."""
-    draw_trainings(read_cards(shipped_cards()), folder / "training.png")
+    figure = draw_trainings(read_cards(shipped_cards()))
+    figure.savefig(folder / "training.png", dpi=150, metadata={})
 
 
 if __name__ == "__main__":

@@ -11,8 +11,8 @@ import pytest
 from matplotlib.image import imread
 
 from reports import pareto
-from reports.analysis.scores import Scores
 from reports.analysis.rows import ReportError
+from reports.analysis.scores import Scores
 from reports.layout import style
 from reports.pareto import MAX_PANELS, OVERALL, WINDOW_DB, Labels, draw_pareto
 from rlbench.benchmark.results import to_dataframe

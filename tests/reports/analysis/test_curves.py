@@ -1,4 +1,4 @@
-"""Curves between measured budgets: interpolated, never extrapolated, and within the deadline."""
+"""Curves between measured budgets, never extrapolated; who wins a deadline, and where it changes."""
 
 from __future__ import annotations
 
@@ -7,9 +7,16 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from reports.analysis.curves import (
+    NOTHING,
+    curves_of,
+    find_switches,
+    find_winners,
+    measured_sample_ms,
+    methods_without_curve,
+)
+from reports.analysis.intervals import interval_of
 from reports.analysis.scores import Scores
-from reports.analysis.curves import curves_of, measured_sample_ms, methods_without_curve
-from reports.analysis.intervals import interval_ends, mean_with_interval, pair
 from tests.reports.formula_results import THREE, Formula, curve, table
 
 TIMES = st.floats(0.01, 500)
@@ -101,34 +108,11 @@ def test_at_the_cost_in_the_results_frame_times_are_those_of_the_pareto_plot(res
 
 def test_an_interval_between_curves_is_the_paired_one(results):
     scores = Scores(results)
-    frames = {key: part for key, part in scores.per_frame.groupby(["method", "target_spp"])}
-    expected = mean_with_interval(pair(frames["ours", 2.0], frames["ntas", 4.0]))
-    curves = {c.method: c for c in curves_of(scores)}
-    gap = curves["ours"].units_at(np.array(2.0)) - curves["ntas"].units_at(np.array(4.0))
-    low, high = interval_ends(gap[:, None])
-    assert (gap.mean(), low[0], high[0]) == pytest.approx(
-        (expected.mean, expected.low, expected.high)
-    )
-
-
-@pytest.mark.parametrize("units", [3, 8, 12])
-def test_intervals_of_many_columns_are_those_of_each(units):
-    columns = np.random.default_rng(0).normal(size=(units, 70))
-    low, high = interval_ends(columns, draws=500)
-    for i in (0, 1, 63, 64, 69):
-        alone = [end[0] for end in interval_ends(columns[:, [i]], draws=500)]
-        # BCa counts draws equal to the mean, by the rounding of their sum
-        assert [low[i], high[i]] == pytest.approx(alone, rel=0.01)
-
-
-def test_a_column_with_a_gap_has_no_interval_and_changes_no_other(recwarn):
-    columns = np.random.default_rng(0).normal(size=(9, 3))
-    expected = interval_ends(columns[:, [0, 2]], draws=200)
-    columns[4, 1] = np.nan
-    low, high = interval_ends(columns, draws=200)
-    assert np.isnan([low[1], high[1]]).all()
-    assert [*low[[0, 2]], *high[[0, 2]]] == pytest.approx([*expected[0], *expected[1]])
-    assert not recwarn.list
+    expected = scores.gap("ours", "ntas", 2.0)
+    ntas, ours = (c for c in curves_of(scores) if c.method in ("ours", "ntas"))
+    gap = interval_of(ours.units_at(np.array(2.0)) - ntas.units_at(np.array(2.0)))
+    ends = (expected.mean, expected.low, expected.high)
+    assert (gap.mean, gap.low, gap.high) == pytest.approx(ends)
 
 
 def test_methods_without_a_time_are_named():
@@ -142,3 +126,41 @@ def test_methods_without_a_time_are_named():
         "cheap has no psnr on every scene and frame at any budget",
         "slow has no time on every scene",
     ]
+
+
+def test_winners_on_a_grid_are_those_of_brute_force():
+    generator = np.random.default_rng(3)
+    spp = [0.5, 1.0, 2.0, 4.0]
+    curves = [
+        curve(f"m{i}", spp, np.sort(generator.uniform(15, 30, 4)), generator.uniform(1, 60))
+        for i in range(5)
+    ]
+    costs, deadlines = np.exp(generator.uniform(np.log(0.1), np.log(300), (2, 400)))
+    winners = find_winners(curves, costs, deadlines)
+    budgets = np.geomspace(0.5, 4, 20_001)
+    for place, (cost, deadline) in enumerate(zip(costs, deadlines, strict=True)):
+        best, index = -np.inf, NOTHING
+        for i, each in enumerate(curves):
+            fits = budgets[each.fixed_ms[0] + cost * budgets <= deadline]
+            if (
+                len(fits)
+                and (value := float(np.interp(np.log(fits[-1]), np.log(spp), each.units[:, 0])))
+                > best
+            ):
+                best, index = value, i
+        assert winners.first[place] == index
+
+
+def test_a_switch_is_found_where_the_closed_form_has_it():
+    """20 + log2 s after 1 ms and 21 + log2 s after 4 ms are equal where T - 1 = 2 (T - 4)."""
+    fast, slow = (
+        curve(n, [1, 2, 4], [a, a + 1, a + 2], ms) for n, a, ms in (("f", 20, 1), ("s", 21, 4))
+    )
+
+    def leader(deadlines):
+        return find_winners([fast, slow], np.full_like(deadlines, 2.0), deadlines).first
+
+    points = [*fast.frame_ms(2.0), *slow.frame_ms(2.0)]
+    switches = find_switches(leader, points)
+    assert [(s.before, s.after) for s in switches] == [(NOTHING, 0), (0, 1)]
+    assert [s.at for s in switches] == pytest.approx([3.0, 7.0])
