@@ -15,7 +15,7 @@ import pytest
 import torch
 
 from metrics.metric import Metric
-from reports.analysis.aggregate import Scores
+from reports.analysis.scores import Scores
 from rlbench import registry
 from rlbench.benchmark import latency, runner
 from rlbench.benchmark import results as table
