@@ -20,7 +20,8 @@ from rlbench.family import Traits
 from rlbench.frames import Size
 from rlbench.method import Method, config_json
 from rlbench.ops.memory_format import to_channels_last, to_contiguous_float32
-from rlbench.ops.unet import SMALL_WIDTHS, UNet
+from rlbench.ops.unet import UNet
+from rlbench.ops.unet_widths import FAST_WIDTHS
 from rlbench.run import run_clip
 from rlbench.wrappers import HalfPrecision, MethodWrapper
 
@@ -100,5 +101,5 @@ def test_memory_formats_change_no_value_of_a_convolution(shape):
     assert to_contiguous_float32(to_channels_last(x)).is_contiguous()
     with torch.autocast("cpu", torch.bfloat16):
         assert to_channels_last(x).dtype == torch.bfloat16
-        net = UNet(5, widths=SMALL_WIDTHS)
+        net = UNet(5, widths=FAST_WIDTHS)
         assert torch.equal(net(x), net(to_channels_last(x)))
