@@ -18,7 +18,7 @@ from rlbench.clips.wrapper import ClipWrapper
 from rlbench.family import Traits
 from rlbench.frames import Clip, Frame
 from rlbench.render.jobs.live_pool import open_live_clip, scene_of_folder
-from rlbench.render.mitsuba.llvm import select_variant
+from rlbench.render.mitsuba.variant import select_variant
 from rlbench.system import code_hash, provenance
 
 __all__ = [
