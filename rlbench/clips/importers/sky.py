@@ -27,7 +27,8 @@ LIMITATION = "sky motion"
 MAX_FRAMES = 16  # of a clip that are judged
 MIN_SHARE = 1e-3  # of an image that counts as a sky
 STILL = 1e-3  # pixels
-MIN_TURN = 0.25  # pixels: a camera that turns moves the sky by more
+MAX_MOVING = 0.05  # of a sky whose motion is not written: its edges have that of surfaces
+MIN_TURN = 0.5  # pixels: a camera that turns moves the sky by more; moving objects cost 0.2
 MAX_POINTS = (3000, 200)  # of surfaces and of the sky, for the fit
 SIGMAS = 5.0
 REWEIGHTINGS = 12
@@ -75,8 +76,10 @@ def add_sky_motion(sequence: ImportedSequence, layout: Layout, source: Path) -> 
             known = motion_at_infinity(
                 read_pose(number), read_pose(number - 1), fov, stored.shape[:2]
             )
-        sky = _find_sky(frame, has_depth)[..., None]
-        written = np.where(sky, known, stored).astype(np.float32)
+        replaced = _find_sky(frame, has_depth)[..., None]
+        if motion.sky == "auto":
+            replaced &= (np.abs(stored) <= STILL).all(-1, keepdims=True)
+        written = np.where(replaced, known, stored).astype(np.float32)
         return frame._replace(gbuffer={**frame.gbuffer, "motion": written})
 
     is_known = bool(camera and fov)
@@ -99,9 +102,9 @@ def judge_sky(
     inside = np.abs(motion).max(-1) < max(motion.shape[:2])
     surface = ~sky & inside
     moves = np.abs(motion).max(-1) > STILL
-    if sky.mean() < MIN_SHARE or moves[sky].any() or not surface.any():
+    if sky.mean() < MIN_SHARE or moves[sky].mean() > MAX_MOVING:
         return "stored"
-    if moves[surface].mean() <= 0.5:
+    if not surface.any() or moves[surface].mean() <= 0.5:
         return "stored"
     if depth is None:
         return "unclear"
@@ -134,9 +137,10 @@ def motion_at_infinity(
 
 
 def _find_sky(frame: ImportedFrame, has_depth: bool) -> Bool[Array, "h w"]:
-    if has_depth:
-        return np.isinf(frame.gbuffer["depth"][..., 0])
-    return ~np.any(frame.gbuffer["normal"], axis=-1)
+    """Where no surface is visible, without what lies outside the data window of motion."""
+    depth, normal = frame.gbuffer["depth"], frame.gbuffer["normal"]
+    sky = np.isinf(depth[..., 0]) if has_depth else ~np.any(normal, axis=-1)
+    return np.asarray(sky & ~frame.empty["motion"][..., 0])
 
 
 def _predict_turn(
