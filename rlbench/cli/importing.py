@@ -68,9 +68,9 @@ def import_(
 
     A layout says which files and channels hold which image, and in which convention; rlbench lint
     --guess SOURCE writes one. What a source lacks (motion, depth, halves of the reference, ...) is
-    replaced, printed and stored in clip.toml. A killed import resumes. --exposure also changes
-    that of a finished one. Nothing is unpickled, no link out of SOURCE is followed, and images may
-    have up to 8192 x 8192 pixels.
+    replaced, printed and stored in clip.toml. Files that are left out are listed, with the reason.
+    A killed import resumes. --exposure also changes that of a finished one. Nothing is unpickled,
+    no link out of SOURCE is followed, and images may have up to 8192 x 8192 pixels.
 
     Examples:
 
@@ -82,7 +82,7 @@ def import_(
     """
     from rlbench.cli import console
     from rlbench.clips.importers import writer
-    from rlbench.clips.importers.formats import find_sequences
+    from rlbench.clips.importers.formats import describe_left_out, find_sequences
     from rlbench.clips.importers.sequence import parse_frame_range
     from rlbench.system.disk import check_writable
 
@@ -107,6 +107,9 @@ def import_(
             before = writer.change_exposure(sequence, folder, exposure, sanitize)
             status += f", its exposure {before:g} is replaced" if before != exposure else ""
         _print_clip(sequence, folder, status, findings.get(folder, []))
+    drawn = [(sequence, header.pool_spp) for sequence, header, _ in clips]
+    for line in describe_left_out(source, layout, drawn, frame_range):
+        typer.echo(line)
 
 
 def _print_clip(sequence: ImportedSequence, folder: Path, status: str, findings: list[str]) -> None:

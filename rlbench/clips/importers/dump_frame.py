@@ -62,6 +62,10 @@ class FrameFiles:
         """The files of all other images."""
         return replace(self, images={k: v for k, v in self.images.items() if k not in names})
 
+    def with_references(self, count: int) -> FrameFiles:
+        """The files with the first `count` references alone."""
+        return replace(self, images={**self.images, "reference": self.images["reference"][:count]})
+
 
 def count_samples(files: FrameFiles, layout: Layout) -> int:
     """The 1-spp images of a frame, in files of their own or in channels of one.

@@ -8,16 +8,18 @@ from __future__ import annotations
 
 import importlib
 from collections import Counter
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
+from rlbench.clips.importers import left_out
 from rlbench.clips.importers.dump import find_dump_sequences
 from rlbench.clips.importers.layout import read_layout, ready_layouts
 from rlbench.clips.importers.sequence import ImportedSequence, SourceError
 from rlbench.clips.importers.sky import add_sky_motion
 from rlbench.clips.importers.stand_ins import add_stand_ins
 
-__all__ = ["FORMATS", "find_sequences"]
+__all__ = ["FORMATS", "describe_left_out", "find_sequences"]
 
 FORMATS = {  # what no layout describes: zarr arrays in zips; 8-bit PNG with motion as torch tensors
     "noisebase": "rlbench.clips.importers.noisebase",
@@ -62,3 +64,19 @@ def find_sequences(
             f"{source} holds two clips named '{duplicates[0]}'; import their folders separately"
         )
     return sorted(clips, key=lambda sequence: sequence.name)
+
+
+def describe_left_out(
+    source: Path,
+    layout: str,
+    drawn: Sequence[tuple[ImportedSequence, int]],
+    frames: tuple[int, int] | None = None,
+) -> list[str]:
+    """Lines that name the files of a source which no clip is made from, with the reasons.
+
+    `drawn` are the sequences that `find_sequences` found, with the samples per pixel of each clip.
+    """
+    read = None if ALIASES.get(layout, layout) in FORMATS else read_layout(layout)
+    files = left_out.find_left_out(source, read, drawn, frames)
+    files.pop(Path(layout), None)  # a layout that lies in the dump itself
+    return list(left_out.describe_left_out(source, files))

@@ -162,6 +162,11 @@ class Layout:
         values = {field.name: getattr(self, field.name) for field in dataclasses.fields(self)}
         return {name: value for name, value in values.items() if isinstance(value, Image)}
 
+    @property
+    def other_files(self) -> tuple[str, ...]:
+        """Files below the dump that are no images."""
+        return (self.normal.camera,) if self.normal and self.normal.camera else ()
+
 
 def ready_layouts() -> dict[str, Path]:
     """The files of the ready layouts, by name.

@@ -70,10 +70,10 @@ class ImportedSequence:
 def parse_frame_range(text: str) -> tuple[int, int]:
     """The first frame and the end, exclusive, of a range FIRST:END. Raises SourceError.
 
-    >>> parse_frame_range("0:20")
-    (0, 20)
+    >>> parse_frame_range("0:20"), parse_frame_range("-3:0")
+    ((0, 20), (-3, 0))
     """
-    match = re.fullmatch(r"(\d{1,18}):(\d{1,18})", text)
+    match = re.fullmatch(r"(-?\d{1,18}):(-?\d{1,18})", text)
     if not match or int(match[1]) >= int(match[2]):
         raise SourceError(
             f"'{text}' is not a range of frames; --frames takes FIRST:END, for example 0:20"

@@ -9,10 +9,9 @@ import pytest
 from typer.testing import CliRunner
 
 from rlbench.checks.lint.checks import lint_clip
-from rlbench.checks.lint.dump_arrays import import_arrays
-from rlbench.checks.lint.guess import format_guess, guess_layout
-from rlbench.checks.lint.recognize import recognize_layout
-from rlbench.checks.lint.samples import check_brightness
+from rlbench.checks.lint.clip_arrays import import_arrays
+from rlbench.checks.lint.guess import format_guess, guess_layout, recognize_layout
+from rlbench.checks.lint.radiance import check_brightness
 from rlbench.checks.result import Verdict
 from rlbench.cli.app import app
 from rlbench.clips.importers.layout import read_layout
