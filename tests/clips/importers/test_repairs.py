@@ -1,4 +1,4 @@
-"""Values that no clip may hold, and windows: what is said, what is repaired, and how it is counted."""
+"""Values that no clip may hold, and windows: what is said, repaired and counted."""
 
 from __future__ import annotations
 
