@@ -165,7 +165,8 @@ class Layout:
     @property
     def other_files(self) -> tuple[str, ...]:
         """Files below the dump that are no images."""
-        return (self.normal.camera,) if self.normal and self.normal.camera else ()
+        cameras = (image.camera for image in (self.normal, self.motion) if image)
+        return tuple(dict.fromkeys(camera for camera in cameras if camera))
 
 
 def ready_layouts() -> dict[str, Path]:
