@@ -251,7 +251,7 @@ def list_unclaimed(source: Path, layout: Layout) -> list[str]:
         for part, channels in list_channels(path).items():
             for layer, letters in _layers(channels).items():
                 read = {n for n in letters.values() if _is_read(layout, relative, part, n)}
-                key = f"{part}:{layer}" if part or layer else pattern
+                key = f"{part}:{layer}" if part or layer or read else pattern
                 claimed |= {f"{key} {name}" for name in read}
                 free = [name for name in letters.values() if name not in read]
                 if free and key not in found:

@@ -1,4 +1,4 @@
-"""A correct clip passes all checks, each fault fails exactly its own; the command that runs them."""
+"""A correct clip passes all checks, and each fault fails exactly its own; the command lint."""
 
 from __future__ import annotations
 

@@ -10,6 +10,7 @@ from typer.testing import CliRunner
 
 from rlbench.checks.lint.checks import lint_clip
 from rlbench.checks.lint.clip_arrays import import_arrays
+from rlbench.checks.lint.dump_names import list_unclaimed
 from rlbench.checks.lint.guess import format_guess, guess_layout, recognize_layout
 from rlbench.checks.lint.radiance import check_brightness
 from rlbench.checks.result import Verdict
@@ -17,6 +18,7 @@ from rlbench.cli.app import app
 from rlbench.clips.importers.layout import read_layout
 from rlbench.clips.importers.sequence import SourceError
 from tests.checks.lint.broken_fixtures import correct_clip
+from tests.checks.lint.renderers import RENDERERS, SAMPLES, write_renderer
 from tests.clips.importers.dumps import WRITERS, write_falcor, write_own, write_unreal
 
 
@@ -67,6 +69,43 @@ def test_the_written_file_imports_what_was_dumped(own, small):
     np.testing.assert_allclose(found.gbuffer["albedo"], small.gbuffer["albedo"], atol=1e-3)
     # pixels; single precision
     np.testing.assert_allclose(found.gbuffer["motion"], small.gbuffer["motion"], atol=1e-3)
+
+
+UNREAD = {  # what a renderer writes beside the images that are read
+    "Arnold": ["A"],
+    "RenderMan": ["a", "dPcameradtime.x"],
+    "V-Ray": ["A"],
+    "Karma": [],
+    "Redshift": ["A"],
+    "Unreal": ["ActorHitProxyMask.R"],
+    "Blender": ["Composite.Combined.B", "Layer.Denoising Normal.X"],
+}
+LACKS = {
+    "RenderMan": {"motion"},
+    "Redshift": {"normal"},
+    "Unreal": {"albedo"},
+}
+
+
+@pytest.mark.parametrize("name", RENDERERS)
+def test_a_guess_for_a_renderer_imports_without_an_edit(name, small, tmp_path):
+    write_renderer(name, small, tmp_path / "dump")
+    guess = guess_layout(tmp_path / "dump")
+    (tmp_path / "engine.toml").write_text(format_guess(guess))
+    layout = read_layout(str(tmp_path / "engine.toml"))
+    found = import_arrays(tmp_path / "dump", layout)
+    assert set(found.gbuffer) == set(small.gbuffer) - LACKS.get(name, set())
+    assert found.pools["path"].shape[:2] == (3, SAMPLES)
+    for buffer, image in found.gbuffer.items():
+        # half precision, of what was dumped; motion in pixels
+        expected = small.gbuffer[buffer]
+        if (name, buffer) == ("Unreal", "motion"):  # 1 / 2048 of a share is hidden by an offset
+            np.testing.assert_allclose(image, expected, atol=0.02)
+        else:
+            np.testing.assert_allclose(image, expected, atol=2e-3, rtol=2e-3)
+    np.testing.assert_allclose(found.half_a, small.half_a, rtol=1e-6)
+    unread = list_unclaimed(tmp_path / "dump", layout)
+    assert [line.partition(" (")[0].split(",")[0] for line in unread] == UNREAD[name]
 
 
 @pytest.mark.slow
