@@ -95,11 +95,8 @@ def test_frames_and_samples_are_read_back_from_any_names(
 ):
     def name(frame: int, sample: int) -> str:
         number = f"{'-' * (frame < 0)}{abs(frame):0{width}d}"
-        return (
-            f"{label}{sample}/{word}.{number}.exr"
-            if is_folder
-            else f"{word}.{number}.{label}{sample}.exr"
-        )
+        numbered = f"{word}.{number}.{label}{sample}.exr", f"{label}{sample}/{word}.{number}.exr"
+        return numbered[is_folder]
 
     names = {name(f, s): (f, s) for f in frames for s in samples}
     (pattern,) = find_patterns(names)
