@@ -10,7 +10,7 @@ from rlbench.backends import use_backend
 from rlbench.benchmark.clip_sources import FirstFrames
 from rlbench.benchmark.resolve import ResolvedCell, ResolvedMethod
 from rlbench.benchmark.run_plan import RunPlan
-from rlbench.checks.checked_returns import CheckedReturns
+from rlbench.checks.returns import CheckedReturns
 from rlbench.clips.compatibility import incompatibility
 from rlbench.frames import Clip
 from rlbench.method import Method

@@ -29,7 +29,7 @@ from rlbench.benchmark.work import (
     peak_memory,
     state_bytes,
 )
-from rlbench.checks.checked_returns import CheckedReturns
+from rlbench.checks.returns import CheckedReturns
 from rlbench.clips.in_memory import InMemoryClip
 from rlbench.method import Method
 from rlbench.parallel.executor import LOCAL, JobResult, ProgressCallback

@@ -18,11 +18,6 @@ from rlbench.system import paths
 
 __all__ = ["CheckpointError", "read", "read_metadata", "select_prefix", "write"]
 
-RENAMED_PREFIXES = {  # of tensors in files written before these were renamed
-    "average.": "ema.",
-    "aside.": "auxiliary_network.",
-}
-
 
 class CheckpointError(RlbenchError, ValueError):
     """A file that is missing, or was not written by a training run."""
@@ -45,28 +40,27 @@ def read_metadata(path: Path) -> dict[str, Any]:
             return metadata
     except (OSError, SafetensorError, TypeError, LookupError, ValueError, RecursionError) as error:
         raise CheckpointError(
-            f"{path} is not a file written by a training run ({error!r}). Give a checkpoint or a "
-            "failed sequence from the folder of a run"
+            f"{path} is not a file written by a training run ({error!r}). Give a checkpoint "
+            "from the folder of a run"
         ) from error
 
 
 def read(path: Path) -> tuple[dict[str, Any], dict[str, Tensor]]:
-    """The metadata and the tensors of a file that `write` wrote, under their present names.
+    """The metadata and the tensors of a file that `write` wrote.
 
-    Raises CheckpointError for any other file, and for one that was changed. Older files have no
-    checksum, so that a change of a number in them is not found.
+    Raises CheckpointError for any other file, and for one that was changed.
     """
     metadata = read_metadata(path)
     with safe_open(path, "pt") as file:
         names = list(file.keys())  # safe_open objects are not iterable
         tensors = {name: file.get_tensor(name) for name in names}
         stored = file.metadata()
-    if stored.get("checksum", checksum := _checksum(stored["progress"], tensors)) != checksum:
+    if stored.get("checksum") != _checksum(stored["progress"], tensors):
         raise CheckpointError(
             f"{path} was changed after it was written: its checksum is another one. Delete it and "
             "train again, or restore it from a copy"
         )
-    return metadata, {_rename_prefix(name): tensor for name, tensor in tensors.items()}
+    return metadata, tensors
 
 
 def select_prefix(prefix: str, tensors: Mapping[str, Tensor]) -> dict[str, Tensor]:
@@ -85,10 +79,3 @@ def _checksum(progress: str, tensors: Mapping[str, Tensor]) -> str:
         digest.update(f"{name} {tensor.dtype} {list(tensor.shape)}".encode())
         digest.update(tensor.detach().cpu().reshape(-1).view(torch.uint8).numpy().tobytes())
     return digest.hexdigest()
-
-
-def _rename_prefix(name: str) -> str:
-    for old, new in RENAMED_PREFIXES.items():
-        if name.startswith(old):
-            return new + name.removeprefix(old)
-    return name

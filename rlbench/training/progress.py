@@ -9,21 +9,11 @@ from typing import Any
 
 from rlbench.system import documents
 from rlbench.training.checkpoint import CheckpointError
-from rlbench.training.config import rename_keys
 
 __all__ = ["Progress", "combine_digests", "describe_changes"]
 
 MAX_LISTED = 8  # clips in a message
 PLATEAU_DB = 0.1  # a smaller rise between the last two validations counts as converged
-
-RENAMED_KEYS = {  # in checkpoints written before the fields were renamed
-    "seen": "frames_seen",
-    "draws": "sequences",
-    "speed": "frames_per_second",
-    "curve": "validation_history",
-    "plan": "config",
-    "changes": "config_changes",
-}
 
 
 @dataclass
@@ -45,20 +35,18 @@ class Progress:
 
     @classmethod
     def from_dict(cls, stored: Mapping[str, Any]) -> Progress:
-        """The progress in a checkpoint's metadata, also one from before the renaming of fields.
+        """The progress in a checkpoint's metadata.
 
         Raises CheckpointError for unknown fields and for values of another type.
         """
         try:
-            if unknown := documents.unknown_keys(stored, cls, renamed=RENAMED_KEYS):
+            if unknown := documents.unknown_keys(stored, cls):
                 raise ValueError(f"unknown fields: {', '.join(unknown)}")
-            progress = documents.decode(stored, cls, renamed=RENAMED_KEYS)
+            return documents.decode(stored, cls)
         except ValueError as error:
             raise CheckpointError(
                 f"the checkpoint has no progress of a training: {error}. Choose another --out"
             ) from error
-        progress.config = rename_keys(progress.config)
-        return progress
 
     def switch_config(self, config: dict[str, Any]) -> None:
         """Continue with another config, and record what changed."""

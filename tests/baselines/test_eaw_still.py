@@ -8,7 +8,7 @@ import pytest
 import torch
 from torch import Tensor
 
-from baselines.eaw.still import MAX_SPP, Still, StillPixels
+from baselines.eaw.method import MAX_SPP, Still, StillPixels
 from rlbench.clips.in_memory import InMemoryClip
 from rlbench.clips.procedural.clip import procedural_clip
 from rlbench.frames import Frame, GBuffer, Samples, Size

@@ -15,7 +15,7 @@ from rlbench.benchmark.speed import COLUMNS, Configuration, measure_speed
 from rlbench.benchmark.speed_page import speed_page, write_speed
 from rlbench.benchmark.work import count_multiply_adds
 from rlbench.cli.app import app
-from rlbench.ops.unet import BASE_WIDTHS
+from rlbench.ops.unet_widths import BASE_WIDTHS
 from rlbench.weights import read_card
 
 CPU = torch.device("cpu")

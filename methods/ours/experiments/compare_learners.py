@@ -17,10 +17,15 @@ import torch
 from rich.progress import Progress
 from torch import nn
 
-from methods.ours.experiments.evaluation import Evaluation, ToyEnv
-from methods.ours.experiments.known_optimum import MODES, Mode, ToyProblem
-from methods.ours.experiments.learner_table import TABLE, LearnerTable, Training
-from methods.ours.experiments.toy_scenes import CHANNELS, toy_frames
+from methods.ours import LATENT
+from methods.ours.experiments.toy_evaluation import (
+    TABLE,
+    Evaluation,
+    LearnerTable,
+    ToyEnv,
+    Training,
+)
+from methods.ours.experiments.toy_problem import CHANNELS, MODES, Mode, ToyProblem, toy_frames
 from methods.ours.networks import Sampler
 from methods.ours.policy import (
     AllocationProblem,
@@ -32,11 +37,9 @@ from methods.ours.policy import (
     appo,
     make_learner,
 )
-from methods.ours.policy.appo_config import AppoSettings
-from methods.ours.variants import LATENT
 from rlbench.ops.init import kaiming_init
 
-__all__ = ["compare", "initial_sampler", "train_by_learner"]
+__all__ = ["blocks_of_reach", "compare", "initial_sampler", "reinforce", "train_by_learner"]
 
 PROGRAM = "python -m methods.ours.experiments.compare_learners"
 MAX_LR, FINAL_SHARE = 2e-3, 0.1  # learning rate at the start, and its share at the end; linear
@@ -59,16 +62,21 @@ class TrueGradient:
         return problem.expected_error(problem.relaxed_counts(problem.act())).mean()
 
 
+def blocks_of_reach(mode: Mode) -> int:
+    """Side of a block as large as the reach of a sample, pixels."""
+    return max(1, 2 * mode.reach)
+
+
 def reinforce(mode: Mode, price_weight: float = 1.0, block: int | None = None) -> BlockReinforce:
     """REINFORCE whose margin is the reach of the mode, and whose blocks are as large."""
-    side = block or max(1, 2 * mode.reach)
+    side = block or blocks_of_reach(mode)
     policy = BlockPolicyGradient(block=side, margin=mode.reach, price_weight=price_weight)
     return BlockReinforce(policy)
 
 
 def stochastic(mode: Mode, block: int | None = None) -> StochasticLearner:
     """Differences over the next sample, with the margin and blocks of `reinforce`."""
-    return StochasticLearner(block or max(1, 2 * mode.reach), mode.reach)
+    return StochasticLearner(block or blocks_of_reach(mode), mode.reach)
 
 
 TORCH: Mapping[str, Callable[[Mode], SamplerLearner]] = {
@@ -83,9 +91,9 @@ TORCH: Mapping[str, Callable[[Mode], SamplerLearner]] = {
     "reinforce, single pixels": partial(reinforce, block=1),
     "stochastic, single pixels": partial(stochastic, block=1),
 }
-RLLIB: Mapping[str, Callable[[Mode], AppoSettings]] = {
-    "rllib-appo": lambda mode: AppoSettings(reach=mode.reach),
-    "rllib-appo, joint ratio": lambda mode: AppoSettings(joint_ratio=True),
+RLLIB: Mapping[str, Callable[[Mode], appo.AppoSettings]] = {
+    "rllib-appo": lambda mode: appo.AppoSettings(reach=mode.reach),
+    "rllib-appo, joint ratio": lambda mode: appo.AppoSettings(joint_ratio=True),
 }
 
 

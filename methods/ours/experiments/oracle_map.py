@@ -24,10 +24,10 @@ from rich.progress import track
 from torch import Tensor, nn
 from torch.nn import functional as F
 
-from methods.ours.frame_problem import FrameProblem
+from methods.ours.history import RecurrentState
 from methods.ours.method import Ours, build
 from methods.ours.policy import BlockReinforce
-from methods.ours.state import RecurrentState
+from methods.ours.problem import FrameProblem
 from rlbench import registry
 from rlbench.clips.stored import open_clip
 from rlbench.frames import Frame

@@ -12,8 +12,8 @@ from torch import Tensor, nn
 from torch.func import functional_call
 from torch.nn import functional as F
 
-from methods.ours.policy.block_policy_gradient import BlockPolicyGradient
-from methods.ours.policy.interface import AllocationProblem
+from methods.ours.policy.learner import AllocationProblem
+from methods.ours.policy.reinforce import BlockPolicyGradient
 from rlbench.ops.init import kaiming_init
 
 __all__ = ["CriticLearner", "ErrorMap", "ReplayBuffer", "Transition", "make_critic_learner"]

@@ -24,14 +24,14 @@ from ray.rllib.core.rl_module.torch import TorchRLModule
 from torch import Tensor, nn
 from torch.nn import functional as F
 
-from methods.ours.policy.appo_config import AppoSettings
-from methods.ours.policy.block_policy_gradient import (
+from methods.ours.policy.appo import AppoSettings
+from methods.ours.policy.joint_appo import pixel_ratios
+from methods.ours.policy.learner import Env
+from methods.ours.policy.reinforce import (
     advantage,
     budget_coupling,
     remove_common_change,
 )
-from methods.ours.policy.environment import Env
-from methods.ours.policy.importance_ratio import pixel_ratios
 
 __all__ = ["GymSamplingEnv", "PixelLearner", "SamplerModule", "train"]
 

@@ -9,7 +9,7 @@ import torch
 from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
-from methods.ours.policy.interface import AllocationProblem
+from methods.ours.policy.learner import AllocationProblem
 
 __all__ = ["StochasticLearner", "SwitchedBlocks"]
 

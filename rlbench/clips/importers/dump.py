@@ -114,6 +114,7 @@ def _sequence(
         height=size[0],
         width=size[1],
         numbers=numbers,
+        first_number=min(rendered),
         counts=tuple(count_samples(found.frames[n], layout) for n in numbers),
         reference_spp=tuple(_reference_spp(found.frames[n], layout, found.halves) for n in numbers),
         buffers=tuple(b for b in GBUFFER if getattr(layout, b) and b not in found.absent),
@@ -140,11 +141,24 @@ def _select(name: str, numbered: Mapping[int, Mapping[str, Files]], layout: Layo
             _require(name, image, having, frames, layout, numbered)
         elif not having or not has_image(frames[having[0]], image, layout):
             absent.append(image)
+            _check_absent(name, image, having[1:], frames, layout)
         elif len(having) < len(frames):
             select_frames(f"clip '{name}', {image}", having, (min(frames), max(frames) + 1))
     halves = min(2, *(len(files.images["reference"]) for files in frames.values()))
     read = {n: files.without(absent).with_references(halves) for n, files in frames.items()}
     return _Selection(read, halves, tuple(absent))
+
+
+def _check_absent(
+    name: str, image: str, others: Iterable[int], frames: Mapping[int, FrameFiles], layout: Layout
+) -> None:
+    """Raise SourceError where another frame has the channels that the first lacks."""
+    for number in others:
+        if has_image(frames[number], image, layout):
+            raise SourceError(
+                f"clip '{name}': frame {number} has the channels of [{image}], frame {min(frames)} "
+                "has not; render it again, or select others with --frames FIRST:END"
+            )
 
 
 def _require(

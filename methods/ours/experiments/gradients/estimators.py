@@ -1,4 +1,4 @@
-"""Gradient estimators under test: the suite's learners, and two textbook ones beside them."""
+"""Gradient estimators, measured: the suite's learners, and two textbook ones beside them."""
 
 from __future__ import annotations
 
@@ -9,23 +9,29 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from methods.ours.experiments.gradients.problem import make_problem, tile_parameters
-from methods.ours.experiments.gradients.truth import relaxed_error, true_gradient
-from methods.ours.experiments.known_optimum import Mode, ToyProblem
+from methods.ours.experiments.compare_learners import blocks_of_reach, reinforce
+from methods.ours.experiments.gradients.exact_gradient import (
+    DENOISERS,
+    make_problem,
+    relaxed_error,
+    tile_parameters,
+    true_gradient,
+)
+from methods.ours.experiments.gradients.statistics import GradientStatistics
+from methods.ours.experiments.toy_problem import Mode, ToyProblem
 from methods.ours.policy import (
     AllocationProblem,
     BlockPolicyGradient,
-    BlockReinforce,
     CombinedLearner,
     SamplerLearner,
     StochasticLearner,
     SurrogateLearner,
+    gamma_gradient_per_sample,
 )
-from methods.ours.policy.gamma_gradient import gamma_gradient_per_sample
-from methods.ours.policy.surrogate_gradient import kuznetsov_gradient_per_sample
+from methods.ours.policy.sample_gradients import kuznetsov_gradient_per_sample
 from rlbench.training.surrogate_gradient import SampleGradient, kuznetsov_gradient
 
-__all__ = ["ESTIMATORS", "Estimator", "ScoreFunction"]
+__all__ = ["ESTIMATORS", "Estimator", "Measurement", "ScoreFunction", "measure"]
 
 BATCH = 32  # images of one backward pass
 SMALLER_BLOCKS = "use smaller blocks, at the price of more noise"
@@ -118,16 +124,9 @@ class Estimator:
         return torch.cat(rows)[:draws]
 
 
-def reinforce(denoiser: Mode, price_weight: float = 1.0) -> BlockReinforce:
-    """REINFORCE with blocks as large as the reach of a sample, as in compare_learners."""
-    side = max(1, 2 * denoiser.reach)
-    policy = BlockPolicyGradient(block=side, margin=denoiser.reach, price_weight=price_weight)
-    return BlockReinforce(policy)
-
-
 def stochastic(denoiser: Mode, block: int | None = None) -> StochasticLearner:
     """Differences over the next sample at their own length, with the blocks of `reinforce`."""
-    side = block or max(1, 2 * denoiser.reach)
+    side = block or blocks_of_reach(denoiser)
     return StochasticLearner(side, denoiser.reach, is_standardized=False)
 
 
@@ -161,3 +160,24 @@ ESTIMATORS: Mapping[str, Estimator] = {
     "score function": _not_for_training(lambda denoiser: ScoreFunction(baseline=True)),
     "score function, no baseline": _not_for_training(lambda d: ScoreFunction(baseline=False)),
 }
+
+
+@dataclass(frozen=True)
+class Measurement:
+    """Statistics of an estimator at one budget."""
+
+    estimator: str
+    denoiser: str  # one of DENOISERS
+    spp: float
+    draws: int
+    statistics: GradientStatistics
+
+
+def measure(
+    name: str, denoiser: str, spp: float, draws: int, estimator: Estimator | None = None
+) -> Measurement:
+    """Draw gradients and compare them with the truth; `estimator` is by default that of `name`."""
+    mode = DENOISERS[denoiser]
+    drawn = (estimator or ESTIMATORS[name]).draw(mode, spp, draws)
+    truth = true_gradient(make_problem(mode, spp, 1, torch.Generator().manual_seed(0)))
+    return Measurement(name, denoiser, spp, draws, GradientStatistics.of_draws(drawn, truth))

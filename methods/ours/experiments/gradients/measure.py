@@ -15,9 +15,8 @@ from pathlib import Path
 import torch
 from rich.progress import track
 
-from methods.ours.experiments.gradients.estimators import ESTIMATORS
-from methods.ours.experiments.gradients.measurement import Measurement, measure
-from methods.ours.experiments.gradients.problem import BUDGETS, DENOISERS
+from methods.ours.experiments.gradients.estimators import ESTIMATORS, Measurement, measure
+from methods.ours.experiments.gradients.exact_gradient import BUDGETS, DENOISERS
 from methods.ours.experiments.gradients.ratio_saturation import SIDES, measure_saturation
 from rlbench.system import paths
 

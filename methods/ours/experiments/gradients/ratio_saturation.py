@@ -17,11 +17,10 @@ from torch import Tensor
 from torch.nn import functional as F
 
 from methods.ours.experiments.compare_learners import initial_sampler
-from methods.ours.experiments.known_optimum import Direct, ToyProblem
-from methods.ours.experiments.toy_scenes import toy_frames
+from methods.ours.experiments.toy_problem import Direct, ToyProblem, toy_frames
 from methods.ours.policy import BlockPolicyGradient, BlockReinforce
-from methods.ours.policy.appo_config import AppoSettings
-from methods.ours.policy.importance_ratio import joint_ratio, pixel_ratios
+from methods.ours.policy.appo import AppoSettings
+from methods.ours.policy.joint_appo import joint_ratio, pixel_ratios
 
 __all__ = ["RATIOS", "SIDES", "Saturation", "adam_step", "clipped_shares", "measure_saturation"]
 
