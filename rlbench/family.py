@@ -73,6 +73,11 @@ class Traits:
             )
         return None
 
+    def nearest_spp(self, spp: float) -> float:
+        """The budget within `spp_range` that is nearest to `spp` samples per pixel."""
+        low, high = self.spp_range
+        return min(max(low, spp), high)
+
 
 @dataclass(frozen=True)
 class Variant:

@@ -13,7 +13,7 @@ from rlbench import backends, registry
 from rlbench.backends import BACKENDS, EAGER, find_networks, select_backend, use_backend
 from rlbench.benchmark import results
 from rlbench.benchmark.clip_sources import StoredSource
-from rlbench.benchmark.row_name import COMPILERS
+from rlbench.benchmark.results import COMPILERS
 from rlbench.benchmark.run_plan import RunPlan
 from rlbench.benchmark.runner import measure
 from rlbench.clips.procedural.clip import procedural_clip

@@ -57,7 +57,7 @@ def test_the_commands_of_the_page_lead_from_a_dump_to_a_decision(folder, sign):
 
 
 def test_a_guess_that_is_a_ready_layout_is_written_as_a_file_that_imports(folder, monkeypatch):
-    monkeypatch.setattr("rlbench.checks.lint.recognize.recognize_layout", lambda source: "falcor")
+    monkeypatch.setattr("rlbench.checks.lint.guess.recognize_layout", lambda source: "falcor")
     write_falcor(correct_clip(height=24, width=32, frames=2, half=32), folder / "dump")
     (guess, imports, *_) = commands()
     output = rlbench(*guess)

@@ -11,8 +11,8 @@ import torch
 from rlbench import registry
 from rlbench.benchmark import results
 from rlbench.benchmark.clip_sources import StoredSource
+from rlbench.benchmark.run_outcome import read_outcome
 from rlbench.benchmark.run_plan import RunPlan
-from rlbench.benchmark.run_table import read_outcome
 from rlbench.benchmark.runner import RunSummary, measure
 from rlbench.cli import console
 from rlbench.clips.procedural.clip import procedural_clip
@@ -68,7 +68,7 @@ def test_half_precision_images_are_float32_and_nearly_the_same():
 
 def bf16_plan(folder: Path, *methods: str, bf16: bool = True) -> RunPlan:
     clips = (StoredSource(folder),)
-    return RunPlan(methods, clips, target_spp=(1.0,), repeats=2, limit_frames=1, bf16=bf16)
+    return RunPlan(methods, clips, spp=(1.0,), repeats=2, limit_frames=1, bf16=bf16)
 
 
 @pytest.mark.usefixtures("native_bf16")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections import Counter
 from collections.abc import Iterable
 from typing import Protocol
@@ -11,7 +12,7 @@ from rich.markup import escape
 
 from rlbench.checks.result import CheckResult, Verdict
 
-__all__ = ["OnResults", "format_line", "print_results"]
+__all__ = ["OnResults", "print_lines", "print_results"]
 
 MARKS = {
     Verdict.PASSED: "[green]✓[/green]",
@@ -29,24 +30,36 @@ class OnResults(Protocol):
 
 
 def print_results(results: Iterable[CheckResult], console: Console, title: str = "") -> bool:
-    """Print a tick list and the number of results of each verdict.
-
-    A line holds the mark, the check, what was found, and after `->` how to fix it. Returns False if
-    a check failed.
-    """
-    if title:
-        console.print(f"[bold]{escape(title)}[/bold]", highlight=False, soft_wrap=True)
-    counts: Counter[Verdict] = Counter()
-    for result in results:
-        console.print(format_line(result), highlight=False, soft_wrap=True)
-        counts[result.verdict] += 1
+    """Print a tick list and the number of results of each verdict; False if a check failed."""
+    counts = print_lines(results, console, title)
     summary = ", ".join(f"{verdict.value}: {counts[verdict]}" for verdict in Verdict)
     console.print(f"  {summary}", highlight=False, soft_wrap=True)
     return not counts[Verdict.FAILED]
 
 
-def format_line(result: CheckResult) -> str:
-    """The line of a result, in rich's markup: the mark, the check, what was found, the remedy."""
-    found = f": {escape(result.found)}" if result.found else ""
+def print_lines(
+    results: Iterable[CheckResult], console: Console, title: str = ""
+) -> Counter[Verdict]:
+    """Print a line per result, and count the verdicts.
+
+    A line holds the mark, the check, its figure with both limits, what was found, and after `->`
+    how to fix it.
+    """
+    if title:
+        console.print(f"[bold]{escape(title)}[/bold]", highlight=False, soft_wrap=True)
+    counts: Counter[Verdict] = Counter()
+    for result in results:
+        console.print(_format_line(result), highlight=False, soft_wrap=True)
+        counts[result.verdict] += 1
+    return counts
+
+
+def _format_line(result: CheckResult) -> str:
+    found = result.found
+    if not math.isnan(result.limits.good):
+        unit = f" {result.limits.unit}" if result.limits.unit else ""
+        figure = f"{result.figure:.4g}{unit} ({result.limits})"
+        found = f"{figure}, {found}" if found else figure
+    found = f": {escape(found)}" if found else ""
     remedy = f" [bold]-> {escape(result.remedy)}[/bold]" if result.remedy else ""
     return f"  {MARKS[result.verdict]} {escape(result.check)}{found}{remedy}"

@@ -1,17 +1,28 @@
-"""What a method's functions must take and return, and how to correct each wrong return."""
+"""What a method's functions must take and return, and how to correct each wrong return.
+
+Without CheckedReturns, the page that runs a method (rlbench.run) stops where it first uses what was
+returned, with an error that names no line of the method.
+"""
 
 from __future__ import annotations
 
 import inspect
 from collections.abc import Callable
+from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 import torch
+from jaxtyping import Float
 from torch import Tensor
 
 from rlbench.errors import PluginError
+from rlbench.frames import GBuffer, Samples
+from rlbench.method import Method, State
+from rlbench.registry.failure import point_at
+from rlbench.wrappers import MethodWrapper
 
 __all__ = [
+    "CheckedReturns",
     "Fault",
     "WrongReturnError",
     "describe_value",
@@ -52,6 +63,43 @@ class WrongReturnError(PluginError):
     def __str__(self) -> str:
         """Both in one line."""
         return "; ".join(self.fault)
+
+
+@dataclass(frozen=True)
+class CheckedReturns(MethodWrapper[Method]):
+    """The wrapped method; types and shapes of its returns are checked, in a microsecond a frame.
+
+    Values are not: a density is checked where samples are drawn, an image where it is scored.
+    Raises WrongReturnError, which names the first line of the function.
+    """
+
+    def plan(self, gbuffer: GBuffer, samples: Samples, state: State) -> Float[Tensor, "n 1 h w"]:
+        """The wrapped method's density, a tensor of a number per pixel."""
+        density = super().plan(gbuffer, samples, state)
+        if not isinstance(density, Tensor) or density.shape != samples.counts.shape:
+            raise self._error("plan", find_density_fault(density, samples.counts.shape))
+        return density
+
+    def denoise(
+        self, gbuffer: GBuffer, samples: Samples, state: State
+    ) -> tuple[Float[Tensor, "n 3 h w"], State]:
+        """The wrapped method's image, a tensor of the size of the frame, and the next state."""
+        returned = super().denoise(gbuffer, samples, state)
+        n, _, c, h, w = samples.radiance.shape
+        if fault := find_return_fault(returned, n):
+            raise self._error("denoise", fault)
+        image, state = returned
+        if image.shape != (n, c, h, w):
+            found = f"denoise must return an image [{n} {c} {h} {w}], found {describe_value(image)}"
+            fault = Fault(found, "support any size: pad and crop as in rlbench.ops (pad, crop)")
+            raise self._error("denoise", fault)
+        return image, state
+
+    def _error(self, name: str, fault: Fault | None) -> WrongReturnError:
+        assert fault is not None  # the caller has found it too
+        error = WrongReturnError(*fault)
+        point_at(error, getattr(self.method, name))
+        return error
 
 
 def find_signature_fault(function: Callable[..., Any], name: str) -> Fault | None:

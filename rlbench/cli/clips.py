@@ -146,7 +146,7 @@ def lint(
     if guess:
         _write_guess(clips, layout)
         return
-    from rlbench.checks.lint.run import lint_clips
+    from rlbench.checks.lint.checks import lint_clips
     from rlbench.clips.clip_folders import find_all_clips
 
     folders = find_all_clips(clips)
@@ -159,9 +159,13 @@ def lint(
 
 def _write_guess(sources: list[Path], layout: Path) -> None:
     """Write the layout of one dump, and print it."""
-    from rlbench.checks.lint.guess import format_guess, guess_layout
-    from rlbench.checks.lint.recognize import recognize_layout
-    from rlbench.clips.importers.layout import ready_layouts
+    from rlbench.checks.lint.guess import (
+        format_guess,
+        format_unclaimed,
+        guess_layout,
+        recognize_layout,
+    )
+    from rlbench.clips.importers.layout import decode_layout, read_layout, ready_layouts
     from rlbench.errors import OptionError
     from rlbench.system.disk import check_writable
     from rlbench.system.paths import atomic_write
@@ -173,12 +177,16 @@ def _write_guess(sources: list[Path], layout: Path) -> None:
     check_writable(layout.parent, "--layout")
     if name := recognize_layout(sources[0]):
         text = ready_layouts()[name].read_text()
+        unclaimed = format_unclaimed(sources[0], read_layout(name))
         typer.echo(f"sure: the ready layout '{name}' reads it, and no check of motion, depth and")
         typer.echo("normals fails\n")
     else:
-        text = format_guess(guess_layout(sources[0]))
+        guess = guess_layout(sources[0])
+        text = format_guess(guess)
         typer.echo(text)
+        unclaimed = format_unclaimed(sources[0], decode_layout(guess.tables, "guess"))
+    typer.echo(unclaimed)
     with atomic_write(layout) as file:
-        file.write_text(text)
+        file.write_text(text + unclaimed)
     typer.echo(f"written to {layout}. Next:")
     typer.echo(f"  rlbench import {sources[0]} --layout {layout} --out clips/")

@@ -4,18 +4,25 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import OpenEXR
 from numpy.typing import NDArray
 
-from rlbench.clips.exr_header import ExrHeader, ExrHeaderError, read_exr_header
+from rlbench.clips.exr_header import (
+    DeepImageError,
+    ExrHeader,
+    ExrHeaderError,
+    read_exr_header,
+)
 from rlbench.clips.header import ClipError
 from rlbench.system.paths import atomic_write, write_error
 
-__all__ = ["TYPES", "channel_dtype", "read_exr", "read_planes", "write_exr"]
+__all__ = ["channel_dtype", "read_exr", "read_planes", "write_exr"]
 
-TYPES: dict[str, type[np.floating]] = {"HALF": np.float16, "FLOAT": np.float32}
+FLOATS: dict[str, type[np.floating]] = {"HALF": np.float16, "FLOAT": np.float32}
+DTYPES: dict[str, type[np.number]] = FLOATS | {"UINT": np.uint32}
 
 
 def write_exr(path: Path, channels: Mapping[str, NDArray[np.floating]]) -> None:
@@ -52,15 +59,27 @@ def read_exr(path: Path, names: Sequence[str], height: int, width: int) -> NDArr
         ) from error
 
 
-def read_planes(path: Path, header: ExrHeader, names: Sequence[str]) -> list[NDArray[np.floating]]:
-    """The channels `names` of a file, each [h w], in its precision. `header` is the file's.
+def read_planes(path: Path, header: ExrHeader, names: Sequence[str]) -> list[NDArray[Any]]:
+    """The channels `names` of a file, each [h w] of its data window, in its precision.
 
-    The channels must be half or float, with a value in every pixel. Raises OSError or RuntimeError,
-    whichever the library raises, where the pixels cannot be decoded.
+    `header` is the file's, or that of the part to read. The channels must have a value in every
+    pixel. Raises ExrHeaderError for a part that is deep, damaged or unfinished, and OSError or
+    RuntimeError, whichever the library raises, where the pixels cannot be decoded.
     """
-    packed = OpenEXR.InputFile(str(path)).channels(list(names))
-    dtypes = [TYPES[header.channels[name].pixel_type] for name in names]
-    return [np.frombuffer(b, t).reshape(header.size) for b, t in zip(packed, dtypes, strict=True)]
+    if header.is_deep:
+        raise DeepImageError
+    if not header.name:
+        packed = OpenEXR.InputFile(str(path)).channels(list(names))
+        dtypes = [DTYPES[header.channels[name].pixel_type] for name in names]
+        return [
+            np.frombuffer(b, t).reshape(header.size) for b, t in zip(packed, dtypes, strict=True)
+        ]
+    with OpenEXR.File(str(path), separate_channels=True) as file:
+        # the library leaves out a part that it cannot decode, and the list shifts
+        whole = {found.name(): found.channels for found in file.parts}
+        if header.name not in whole:
+            raise ExrHeaderError(f"its part '{header.name}' is damaged or unfinished")
+        return [np.array(whole[header.name][name].pixels) for name in names]
 
 
 def channel_dtype(path: Path, name: str) -> type[np.floating]:
@@ -71,24 +90,29 @@ def channel_dtype(path: Path, name: str) -> type[np.floating]:
     if not path.is_file():
         raise ClipError(f"{path} is missing; `rlbench render` restores missing frames")
     try:
-        return TYPES[read_exr_header(path).channels[name].pixel_type]
+        return FLOATS[read_exr_header(path).channels[name].pixel_type]
     except (OSError, KeyError, ExrHeaderError) as error:
         raise ClipError(f"{path} has no channel {name} of half or float: {error}") from error
 
 
 def _check(path: Path, header: ExrHeader, names: Sequence[str], h: int, w: int) -> None:
-    """Raise ClipError for another size, a missing channel, or one of another type or sampling."""
+    """Raise ClipError for another size or window, or a channel that is absent or no float."""
     if header.size != (h, w):
         raise ClipError(
             f"{path} is {header.size[1]} x {header.size[0]} pixels, clip.toml says {w} x {h}; "
             "delete the file or correct clip.toml, then run `rlbench render`"
+        )
+    if header.data_window != header.display_window:
+        raise ClipError(
+            f"{path} has the data window {header.data_window}, expected its display window "
+            f"{header.display_window}: the images of a clip are whole"
         )
     channels = header.channels
     if missing := [name for name in names if name not in channels]:
         raise ClipError(
             f"{path} has no channel {', '.join(missing)}; it has: {', '.join(channels)}"
         )
-    if others := [name for name in names if not channels[name].is_readable]:
+    if others := [name for name in names if not channels[name].is_float]:
         raise ClipError(
             f"{path}: channel {', '.join(others)} is not half or float with a value in every pixel"
         )

@@ -16,11 +16,24 @@ from typing import BinaryIO
 from rlbench.clips.header_limits import MAX_PIXELS
 from rlbench.errors import RlbenchError
 
-__all__ = ["Channel", "ExrHeader", "ExrHeaderError", "read_exr_header", "read_exr_parts"]
+__all__ = [
+    "Channel",
+    "DeepImageError",
+    "ExrHeader",
+    "ExrHeaderError",
+    "Window",
+    "read_exr_header",
+    "read_exr_parts",
+]
 
 MAGIC, VERSION = b"v/1\x01", 2
-TILED, LONG_NAMES, MULTI_PART = 0x200, 0x400, 0x1000  # flags; the others are of deep images
-PART_TYPES = {b"scanlineimage": 0, b"tiledimage": TILED}  # of a multi-part file: its flag
+TILED, LONG_NAMES, DEEP, MULTI_PART = 0x200, 0x400, 0x800, 0x1000  # flags
+PART_TYPES = {  # of a multi-part file: its flags
+    b"scanlineimage": 0,
+    b"tiledimage": TILED,
+    b"deepscanline": DEEP,
+    b"deeptile": DEEP | TILED,
+}
 MAX_PARTS = 256
 MAX_NAME, MAX_LONG_NAME = 31, 255  # bytes
 MAX_CHANNELS = 4096
@@ -43,7 +56,15 @@ Window = tuple[int, int, int, int]  # first x, first y, last x, last y; pixels
 
 
 class ExrHeaderError(RlbenchError, ValueError):
-    """A file that is not a readable single-part OpenEXR image; the message says why."""
+    """A file that is no readable OpenEXR image; the message says why."""
+
+
+class DeepImageError(ExrHeaderError):
+    """An image with a list of samples in each pixel."""
+
+    def __init__(self) -> None:
+        """The message says what helps."""
+        super().__init__("it is a deep image; flatten it first")
 
 
 @dataclass(frozen=True)
@@ -55,9 +76,14 @@ class Channel:
     y_sampling: int  # 1: a value in every row
 
     @property
-    def is_readable(self) -> bool:
+    def is_full(self) -> bool:
+        """Whether the channel has a value in every pixel."""
+        return self.x_sampling == self.y_sampling == 1
+
+    @property
+    def is_float(self) -> bool:
         """Whether the channel is half or float with a value in every pixel."""
-        return self.pixel_type != "UINT" and self.x_sampling == self.y_sampling == 1
+        return self.pixel_type != "UINT" and self.is_full
 
 
 @dataclass(frozen=True)
@@ -68,12 +94,17 @@ class ExrHeader:
     data_window: Window  # of the pixels in the file
     display_window: Window  # of the image
     name: str = ""  # of a part of a multi-part file
+    is_deep: bool = False
 
     @property
     def size(self) -> tuple[int, int]:
         """Height and width of the data window, pixels."""
-        x_min, y_min, x_max, y_max = self.data_window
-        return y_max - y_min + 1, x_max - x_min + 1
+        return _size(self.data_window)
+
+    @property
+    def display_size(self) -> tuple[int, int]:
+        """Height and width of the display window, pixels."""
+        return _size(self.display_window)
 
 
 def read_exr_header(path: Path) -> ExrHeader:
@@ -94,7 +125,7 @@ def read_exr_header(path: Path) -> ExrHeader:
 def read_exr_parts(path: Path) -> list[ExrHeader]:
     """The headers of all parts of an image; a single-part image has one.
 
-    Raises ExrHeaderError and OSError as `read_exr_header` does.
+    A part may be deep. Raises ExrHeaderError and OSError as `read_exr_header` does.
     """
     with path.open("rb") as file:
         flags = _read_flags(file)
@@ -109,11 +140,14 @@ def read_exr_parts(path: Path) -> list[ExrHeader]:
                 raise ExrHeaderError(
                     f"it has more than {MAX_PARTS} parts, or one of type {attributes['type']!r}"
                 )
-            tiled = PART_TYPES[attributes["type"]]
-            if tiled and "tiles" not in attributes:
+            kind = PART_TYPES[attributes["type"]]
+            if kind & TILED and "tiles" not in attributes:
                 raise ExrHeaderError("a part of tiles has no attribute tiles")
-            header = _check_header(attributes, tiled, size - file.tell())
-            headers.append(replace(header, name=_text(attributes["name"])))
+            header = _check_header(attributes, kind, size - file.tell())
+            name = _text(attributes["name"])
+            if name in (each.name for each in headers):
+                raise ExrHeaderError(f"it has two parts named '{name}'")
+            headers.append(replace(header, name=name, is_deep=bool(kind & DEEP)))
         return headers
 
 
@@ -122,10 +156,11 @@ def _read_flags(file: BinaryIO) -> int:
         raise ExrHeaderError(f"it begins with {magic!r}, an OpenEXR file with {MAGIC!r}")
     (version,) = struct.unpack("<I", _read(file, 4))
     flags: int = version & ~0xFF
-    if version & 0xFF != VERSION or flags & ~(TILED | LONG_NAMES | MULTI_PART):
+    if flags & DEEP and not flags & MULTI_PART:
+        raise DeepImageError
+    if version & 0xFF != VERSION or flags & ~(TILED | LONG_NAMES | DEEP | MULTI_PART):
         raise ExrHeaderError(
-            f"its version field is {version:#x}; only images of version {VERSION}, not deep, are "
-            "read"
+            f"its version field is {version:#x}; only images of version {VERSION} are read"
         )
     return flags
 
@@ -183,6 +218,12 @@ def _check_header(attributes: dict[str, bytes], flags: int, remaining: int) -> E
             "bytes after its header are too few"
         )
     return header
+
+
+def _size(window: Window) -> tuple[int, int]:
+    """Height and width of a window, pixels."""
+    x_min, y_min, x_max, y_max = window
+    return y_max - y_min + 1, x_max - x_min + 1
 
 
 def _window(name: str, value: bytes) -> Window:

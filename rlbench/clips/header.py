@@ -52,6 +52,7 @@ LIMITATIONS = {  # what an imported clip may not have, although the format requi
         f"no {name}": f"the source has no {name}, so {name} is a constant without information"
         for name in STANDARD_BUFFERS
     },
+    "sky motion": "the source has no motion of the sky, so it points outside the image",
     "flow": "motion was estimated by optical flow of albedo, because the source has none",
 }
 NAMES_IN_DIGESTS = {

@@ -43,9 +43,12 @@ def unknown_keys(document: Mapping[str, Any], kind: type) -> list[str]:
 
 
 def read_toml(path: Path) -> dict[str, Any]:
-    """Read a TOML file. Raises ValueError for a file that is not TOML in UTF-8."""
+    """Read a TOML file. Raises ValueError for a file that is not TOML in UTF-8.
+
+    A byte-order mark, which editors of Windows write, is skipped.
+    """
     try:
-        return tomllib.loads(path.read_text(encoding="utf-8"))
+        return tomllib.loads(path.read_text(encoding="utf-8-sig"))
     except (ValueError, RecursionError) as error:  # no TOML, not UTF-8, or nested too deeply
         raise ValueError(f"{path} is not TOML: {error}") from error
 

@@ -292,7 +292,7 @@ def verdicts(learner: SamplerLearner) -> dict[str, Verdict]:
     order = [Verdict.PASSED, Verdict.SKIPPED, Verdict.WARNING, Verdict.FAILED]
     worst: dict[str, Verdict] = {}
     for result in section.judge_estimator("planted", Estimator(lambda denoiser: learner)):
-        quantity = result.test.rpartition("-")[2]
+        quantity = result.check.rpartition("-")[2]
         worst[quantity] = max(worst.get(quantity, Verdict.PASSED), result.verdict, key=order.index)
     return worst
 
@@ -442,9 +442,9 @@ def test_the_section_is_registered_and_quick():
     began = time.process_time()
     results = list(suite_section.run(True))
     assert time.process_time() - began < 10  # 2.5 on an idle core
-    assert suite_section.name == "gradients" == results[0].section
-    assert len({result.test for result in results}) == len(results)
-    failing = [result.test for result in results if result.verdict is Verdict.FAILED]
+    assert suite_section.name == "gradients"
+    assert len({result.check for result in results}) == len(results)
+    failing = [result.check for result in results if result.verdict is Verdict.FAILED]
     assert failing == ["ratio-joint"]  # the literal recipe, a known limit
     assert all(result.remedy for result in results if result.verdict is Verdict.WARNING)
 
@@ -463,7 +463,7 @@ def test_the_full_section_takes_less_than_a_minute_of_one_core():
     began = time.process_time()
     results = list(section.run_gradients(False))
     assert time.process_time() - began < 60
-    failing = [result.test for result in results if result.verdict is Verdict.FAILED]
+    failing = [result.check for result in results if result.verdict is Verdict.FAILED]
     assert failing == ["stochastic-below-1-spp-scale", "ratio-joint"]  # both are known limits
 
 

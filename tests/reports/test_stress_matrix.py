@@ -8,8 +8,8 @@ from pathlib import Path
 import pytest
 
 from reports import stress_matrix
-from reports.layout.verdict_grid import FILLS, INK, MARKS, Cell, draw_grid
-from rlbench.checks.stress.tables import VERDICT_NAMES
+from reports.stress_matrix import FILLS, INK, MARKS, Cell, draw_grid
+from rlbench.checks.stress.run import VERDICT_NAMES
 
 ROWS = [  # method, section, test, verdict, figure, unit, good, fair, found, remedy
     ("mean", "bad-pixel", "sample-nan", "passed", "1", "pixels", "256", "", "", ""),

@@ -20,9 +20,8 @@ all, one test per check:
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from rlbench.checks.conformance.checks import CHECKS, Check
-    from rlbench.checks.conformance.method_under_test import MethodUnderTest
-    from rlbench.checks.conformance.suite import run_check, run_checks
+    from rlbench.checks.conformance.method_under_test import Check, MethodUnderTest
+    from rlbench.checks.conformance.run import CHECKS, run_check, run_checks
     from rlbench.checks.result import CheckResult, Verdict
 else:  # importing torch is postponed until a name is used
     import lazy_loader
@@ -30,9 +29,8 @@ else:  # importing torch is postponed until a name is used
     __getattr__, __dir__, _ = lazy_loader.attach(
         __name__,
         submod_attrs={
-            "checks": ["CHECKS", "Check"],
-            "method_under_test": ["MethodUnderTest"],
-            "suite": ["CheckResult", "Verdict", "run_check", "run_checks"],
+            "method_under_test": ["Check", "MethodUnderTest"],
+            "run": ["CHECKS", "CheckResult", "Verdict", "run_check", "run_checks"],
         },
     )
 

@@ -1,25 +1,54 @@
-"""Check methods and print a tick list for each: the command `rlbench check`."""
+"""Run one check or all of them, and print a tick list per method: the command `rlbench check`."""
 
 from __future__ import annotations
 
 import traceback
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from functools import partial
 
 import torch
 from rich.console import Console
-from rich.progress import BarColumn, MofNCompleteColumn, TaskID, TextColumn, TimeRemainingColumn
+from rich.progress import BarColumn, MofNCompleteColumn, TextColumn, TimeRemainingColumn
 
 from rlbench import registry
-from rlbench.checks.conformance.checks import CHECKS
-from rlbench.checks.conformance.method_under_test import MethodUnderTest
-from rlbench.checks.conformance.suite import find_broken_families, run_check, select_methods
+from rlbench.checks.conformance import interface_checks, state_checks
+from rlbench.checks.conformance.method_under_test import Check, MethodUnderTest
 from rlbench.checks.console import OnResults, print_results
-from rlbench.checks.result import CheckResult, failed, not_applicable
+from rlbench.checks.result import CheckResult, Verdict, failed, not_applicable, passed
+from rlbench.checks.returns import Fault, WrongReturnError
 from rlbench.system.progress import LoggedProgress
 
+__all__ = ["CHECKS", "check_methods", "run_check", "run_checks", "select_methods"]
+
+CHECKS = {  # in the order in which they are defined
+    check.name: check
+    for module in (interface_checks, state_checks)
+    for check in vars(module).values()
+    if isinstance(check, Check)
+}
 IMPORTABLE = "correct the line named in the error; `rlbench list methods` shows it again"
 COLUMNS = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn())
+
+
+def run_check(method_under_test: MethodUnderTest, name: str) -> CheckResult:
+    """The result of one check, by its name in `CHECKS`; a repeated call returns the same result.
+
+    It is SKIPPED where the method cannot run on this machine, the check does not apply, or a check
+    that it requires did not pass. An exception of the method is a failure.
+
+    >>> print(run_check(MethodUnderTest("mean"), "temporal"))
+    depend on one frame alone unless declared temporal
+    """
+    results = method_under_test.results
+    if name not in results:
+        results[name] = _run(method_under_test, CHECKS[name])
+    return results[name]
+
+
+def run_checks(method_under_test: MethodUnderTest) -> Iterator[tuple[Check, CheckResult]]:
+    """Every check with its result, one after the other."""
+    for name, check in CHECKS.items():
+        yield check, run_check(method_under_test, name)
 
 
 def check_methods(
@@ -38,7 +67,7 @@ def check_methods(
     console = Console(quiet=on_results is not None)
     show = on_results or partial(print_results, console=console)
     methods = select_methods(patterns, device)
-    broken = find_broken_families() if "all" in patterns else {}
+    broken = _find_import_errors() if "all" in patterns else {}
     for each in methods:
         if failure := registry.import_failure(each.name):
             broken[each.name] = str(failure)
@@ -54,33 +83,73 @@ def check_methods(
             highlight=False,
             soft_wrap=True,
         )
-        task = bar.add_task("checking", total=len(methods) * len(CHECKS))
+        bar.add_task("checking", total=len(methods) * len(CHECKS))
         for each in methods:
-            results = _results(each, console, bar, task, debug)
-            if not show(results, title=each.name):
+            if not show(_results(each, console, bar, debug), title=each.name):
                 nonconforming.append(each.name)
     summary = f"failed: {', '.join(nonconforming)}" if nonconforming else "none failed"
     console.print(f"{len(methods)} {noun} checked; {summary}")
     return not nonconforming
 
 
+def select_methods(patterns: Iterable[str], device: torch.device) -> list[MethodUnderTest]:
+    """The methods that match the patterns of `registry.expand`.
+
+    `all` stands for every variant of every family that can be imported. Raises PluginError for an
+    unknown name.
+    """
+    broken = _find_import_errors()
+    usable = [f"{name}/*" for name in registry.list_plugins("methods") if name not in broken]
+    names = [name for each in patterns for name in (usable if each == "all" else [each])]
+    return [MethodUnderTest(name, device) for name in registry.expand(names, pretrained_only=False)]
+
+
+def _find_import_errors() -> dict[str, str]:
+    """The import error of each method family that cannot be imported, by its name."""
+    names = registry.list_plugins("methods")
+    return {name: error for name in names if (error := registry.import_error("methods", name))}
+
+
 def _results(
-    method_under_test: MethodUnderTest,
-    console: Console,
-    bar: LoggedProgress,
-    task: TaskID,
-    debug: bool,
+    tested: MethodUnderTest, console: Console, bar: LoggedProgress, debug: bool
 ) -> Iterator[CheckResult]:
     """The result of every check, shown on the bar; or the reason why none can run here."""
-    if reason := method_under_test.unavailable_reason:
+    (task,) = bar.task_ids
+    if reason := tested.unavailable_reason:
         bar.advance(task, len(CHECKS))
         yield not_applicable("run on this machine", reason)
         return
     for name, check in CHECKS.items():
-        bar.update(task, description=f"{method_under_test.name}: {check.requirement}")
-        result = run_check(method_under_test, name)
+        bar.update(task, description=f"{tested.name}: {check.requirement}")
+        result = run_check(tested, name)
         bar.advance(task)
         yield result
         if debug and result.error:
             lines = traceback.format_exception(result.error)
             console.print("".join(lines), markup=False, highlight=False, soft_wrap=True)
+
+
+def _run(tested: MethodUnderTest, check: Check) -> CheckResult:
+    label = check.requirement
+    if reason := _skip_reason(tested, check):
+        return not_applicable(label, reason)
+    try:
+        with registry.exits_as_errors():
+            fault = check.find_fault(tested)
+    except WrongReturnError as error:
+        fault = error.fault
+    except Exception as error:  # whatever a method raises is reported
+        reason = registry.failure_reason(tested.name, error)
+        return failed(label, f"raised {reason}", check.remedy, error)
+    if isinstance(fault, Fault):
+        return failed(label, *fault)
+    return failed(label, fault, check.remedy) if fault else passed(label)
+
+
+def _skip_reason(tested: MethodUnderTest, check: Check) -> str | None:
+    if tested.unavailable_reason:
+        return tested.unavailable_reason
+    for name in check.requires:
+        if run_check(tested, name).verdict is not Verdict.PASSED:
+            return f"requires a passed check: {CHECKS[name].requirement}"
+    return check.skip_reason(tested.traits)

@@ -12,23 +12,28 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
 
-from rlbench.checks.result import Verdict
-from rlbench.checks.stress.blast import MAX_CHANGED, TOLERANCE, Blast
-from rlbench.checks.stress.clean_run import CleanRun, Fault, run_clean
-from rlbench.checks.stress.faults import VALUES
-from rlbench.checks.stress.result import Limits, StressResult, judge
+from rlbench.checks.result import CheckResult, Limits, Verdict, judge
+from rlbench.checks.stress.faults import (
+    MAX_CHANGED,
+    TOLERANCE,
+    VALUES,
+    Blast,
+    CleanRun,
+    Fault,
+    run_clean,
+)
 from rlbench.checks.stress.section import MethodSection, StressedMethod
 from rlbench.frames import Size
 from rlbench.sanitize import read_unsanitized
 
-__all__ = ["NAME", "SECTION", "run"]
+__all__ = ["SECTION", "run"]
 
-NAME = "bad-pixel"
 SIZE, QUICK_SIZE = Size(1, 64, 64), Size(1, 48, 48)
 QUICK_VALUES = ("nan", "65504")
 FREE_VALUES = ("nan", "65504", "minus-one")  # also with free counts, and without sanitising
 EQUALLY_GOOD = 0.1  # dB: other samples of the same budget move the PSNR of a frame by as much
 NOTICEABLE = 1.0  # dB
+CHANGED = Limits(good=float(MAX_CHANGED), unit="pixels")
 SHARE = Limits(good=100.0, fair=0.0, unit="%")  # without the core's help: never a failure
 VISIBLE = 1 / 255  # a residue below one step of an 8-bit display is degraded, not failed
 REMEDIES = {
@@ -41,25 +46,24 @@ REMEDIES = {
 }
 
 
-def run(stressed: StressedMethod, quick: bool) -> Iterator[StressResult]:
+def run(stressed: StressedMethod, is_quick: bool) -> Iterator[CheckResult]:
     """One result per planted fault, and one for all of them without the core's sanitising."""
-    clean = run_clean(stressed, QUICK_SIZE if quick else SIZE)
+    clean = run_clean(stressed, QUICK_SIZE if is_quick else SIZE)
     is_adaptive = stressed.traits.adaptive
     legal = {target: clean.repeat_legal(target, is_adaptive) for target in clean.targets}
     for target in clean.targets:
-        for value in QUICK_VALUES if quick else VALUES:
+        for value in QUICK_VALUES if is_quick else VALUES:
             yield _judge(clean, clean.plant(target, value), legal[target], is_adaptive)
         if is_adaptive:
             moving = clean.repeat_legal(target, holds_counts=False)
-            for value in QUICK_VALUES if quick else FREE_VALUES:
+            for value in QUICK_VALUES if is_quick else FREE_VALUES:
                 yield _judge(clean, clean.plant(target, value), moving, holds_counts=False)
-    if not quick:
+    if not is_quick:
         yield _judge_unsanitized(clean, legal)
 
 
-def _judge(clean: CleanRun, fault: Fault, legal: Blast, holds_counts: bool) -> StressResult:
-    stressed = clean.stressed
-    moves_samples = stressed.traits.adaptive and not holds_counts
+def _judge(clean: CleanRun, fault: Fault, legal: Blast, holds_counts: bool) -> CheckResult:
+    moves_samples = clean.stressed.traits.adaptive and not holds_counts
     test = f"{fault.target}-{fault.value}" + ("-free" if moves_samples else "")
     kind = fault.target if fault.target in REMEDIES else "buffer"
     remedy = REMEDIES["counts" if moves_samples else kind]
@@ -67,18 +71,13 @@ def _judge(clean: CleanRun, fault: Fault, legal: Blast, holds_counts: bool) -> S
         blast = clean.repeat(fault, holds_counts)
     except Exception as error:  # e.g. a density that is not finite
         found = f"raised {type(error).__name__}: {error}"
-        return StressResult(
-            stressed.name, NAME, test, Verdict.FAILED, unit="pixels", found=found, remedy=remedy
-        )
+        return CheckResult(test, Verdict.FAILED, found, remedy, limits=Limits(unit=CHANGED.unit))
     verdict = _verdict_of_loss(blast, legal) if moves_samples else _verdict(blast, legal)
     found = f"{blast}; {blast.loss:.2f} dB lost" if moves_samples else str(blast)
     if not blast.is_contained():
         found += f"; a legal change: {legal}"
     remedy = "" if verdict is Verdict.PASSED else remedy
-    figure, limit = float(blast.changed_pixels), float(MAX_CHANGED)
-    return StressResult(
-        stressed.name, NAME, test, verdict, figure, "pixels", limit, found=found, remedy=remedy
-    )
+    return CheckResult(test, verdict, found, remedy, blast.changed_pixels, CHANGED)
 
 
 def _verdict(blast: Blast, legal: Blast) -> Verdict:
@@ -96,13 +95,12 @@ def _verdict_of_loss(blast: Blast, legal: Blast) -> Verdict:
     return Verdict.WARNING if blast.loss <= NOTICEABLE else Verdict.FAILED
 
 
-def _judge_unsanitized(clean: CleanRun, legal: Mapping[str, Blast]) -> StressResult:
+def _judge_unsanitized(clean: CleanRun, legal: Mapping[str, Blast]) -> CheckResult:
     """How many faults of samples and buffers the method contains without the core's help."""
     faults = [clean.plant(t, v) for t in clean.targets for v in FREE_VALUES if t != "state"]
     contained = sum(_is_contained_unsanitized(clean, f, legal[f.target]) for f in faults)
     found = f"{contained} of {len(faults)} faults are contained if the suite repairs nothing"
-    figure = 100 * contained / len(faults)
-    return judge(clean.stressed.name, NAME, "unsanitized", figure, SHARE, found, REMEDIES["raw"])
+    return judge("unsanitized", 100 * contained / len(faults), SHARE, found, REMEDIES["raw"])
 
 
 def _is_contained_unsanitized(clean: CleanRun, fault: Fault, legal: Blast) -> bool:
@@ -113,4 +111,6 @@ def _is_contained_unsanitized(clean: CleanRun, fault: Fault, legal: Blast) -> bo
     return blast.is_contained(legal)
 
 
-SECTION = MethodSection(NAME, "Does one bad value stay where it is, and does it vanish?", run)
+SECTION = MethodSection(
+    "bad-pixel", "Does one bad value stay where it is, and does it vanish?", run
+)

@@ -8,29 +8,23 @@ Sizes run from one pixel to 1080p.
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
 from itertools import pairwise
 
 import torch
-from jaxtyping import Float
-from torch import Tensor
 
-from rlbench.checks.result import Verdict
-from rlbench.checks.stress.densities import DENSITIES
-from rlbench.checks.stress.job import report_exception
-from rlbench.checks.stress.result import Limits, StressResult, judge, skip
-from rlbench.checks.stress.section import MethodSection, StressedMethod
+from rlbench.checks.result import CheckResult, Limits, failed, judge, not_applicable, passed
+from rlbench.checks.stress.allocation import DENSITIES
+from rlbench.checks.stress.display import to_display
+from rlbench.checks.stress.section import MethodSection, StressedMethod, attempt, report_exception
+from rlbench.checks.stress.wrappers import PlannedDensity
 from rlbench.clips.procedural.clip import procedural_clip
-from rlbench.frames import GBuffer, Samples, Size
-from rlbench.method import Method, State
-from rlbench.ops.color import encode_srgb
-from rlbench.run import FrameResult, run_clip
+from rlbench.frames import Size
+from rlbench.method import Method
+from rlbench.run import FrameResult
 from rlbench.sampling import BudgetError
-from rlbench.wrappers import MethodWrapper
 
-__all__ = ["NAME", "SECTION"]
+__all__ = ["SECTION"]
 
-NAME = "budgets"
 SEED = 8
 SMALL = (48, 64)  # height and width, where the size does not matter
 SIZES = ((1, 1), (1, 17), (7, 9), (77, 123))
@@ -49,80 +43,61 @@ REMEDY = "return a finite float32 image [n 3 h w] for any budget, density and si
 LOSS_REMEDY = "train at these budgets too, or give the network the sample counts"
 
 
-@dataclass(frozen=True)
-class PlannedDensity(MethodWrapper[Method]):
-    """A method whose density is replaced by one of `DENSITIES`."""
-
-    density: str
-
-    def plan(self, gbuffer: GBuffer, samples: Samples, state: State) -> Float[Tensor, "n 1 h w"]:
-        """The replaced density; the method plans as well, since it may rely on that."""
-        planned = super().plan(gbuffer, samples, state)
-        h, w = planned.shape[-2:]
-        return DENSITIES[self.density](h, w).to(planned.device).expand_as(planned)
-
-
-def _run(stressed: StressedMethod, is_quick: bool) -> Iterator[StressResult]:
+def _run(stressed: StressedMethod, is_quick: bool) -> Iterator[CheckResult]:
+    frames = FRAMES[is_quick]
     yield from _stress_budgets(stressed, is_quick)
-    yield _exceed_pool(stressed)
-    yield from _stress_densities(stressed, is_quick)
+    yield attempt(stressed.name, "spp-above-pool", lambda: _exceed_pool(stressed))
+    for density in QUICK_DENSITIES if is_quick else DENSITIES:
+        test = f"density-{density}"
+        if stressed.traits.adaptive:
+            method = PlannedDensity(stressed.method, DENSITIES[density])
+            yield _run_test(stressed, test, SMALL, frames, method)
+        else:
+            yield not_applicable(test, "the method samples uniformly")
     for height, width in SIZES:
-        yield _run_test(stressed, f"size-{width}x{height}", (height, width), FRAMES[is_quick])
+        yield _run_test(stressed, f"size-{width}x{height}", (height, width), frames)
     if not is_quick:
         yield _run_full_hd(stressed)
 
 
-def _stress_budgets(stressed: StressedMethod, is_quick: bool) -> Iterator[StressResult]:
+def _stress_budgets(stressed: StressedMethod, is_quick: bool) -> Iterator[CheckResult]:
     """A result per budget, then one on whether more samples give a better image."""
     scores: dict[float, float] = {}
     for spp in QUICK_BUDGETS if is_quick else BUDGETS:
         test = f"spp-{spp:g}"
         if reason := stressed.traits.unsupported_reason(spp):
-            yield skip(stressed.name, NAME, test, reason)
+            yield not_applicable(test, reason)
             continue
         try:
-            frames = _frames(stressed, stressed.method, SMALL, FRAMES[is_quick], spp)
+            frames = _frames(stressed, SMALL, FRAMES[is_quick], spp)
         except Exception as error:  # whatever a method raises is its result
-            yield report_exception(stressed.name, NAME, test, error)
+            yield report_exception(stressed.name, test, error)
             continue
         if spp >= RISING_FROM:
             scores[spp] = _psnr(frames)
-        yield _judge_frames(stressed, test, frames, SMALL, spp)
+        yield _judge_frames(test, frames, SMALL, spp)
     if len(scores) > 1:
-        yield _judge_scores(stressed, scores)
+        yield _judge_scores(scores)
 
 
-def _exceed_pool(stressed: StressedMethod) -> StressResult:
+def _exceed_pool(stressed: StressedMethod) -> CheckResult:
     """The core refuses a budget that the pool cannot pay for, whatever the method plans."""
     test = "spp-above-pool"
     try:
-        _frames(stressed, stressed.method, SMALL, 1, ABOVE_POOL)
+        _frames(stressed, SMALL, 1, ABOVE_POOL)
     except BudgetError as error:
-        return StressResult(stressed.name, NAME, test, Verdict.PASSED, found=f"refused: {error}")
-    except Exception as error:  # whatever a method raises is its result
-        return report_exception(stressed.name, NAME, test, error)
+        return passed(test, f"refused: {error}")
     found = f"{ABOVE_POOL} spp ran with a pool of {POOL_SPP}"
-    remedy = "leave the budget to rlbench.sampling"
-    return StressResult(stressed.name, NAME, test, Verdict.FAILED, found=found, remedy=remedy)
+    return failed(test, found, "leave the budget to rlbench.sampling")
 
 
-def _stress_densities(stressed: StressedMethod, is_quick: bool) -> Iterator[StressResult]:
-    for density in QUICK_DENSITIES if is_quick else DENSITIES:
-        test = f"density-{density}"
-        if stressed.traits.adaptive:
-            method = PlannedDensity(stressed.method, density)
-            yield _run_test(stressed, test, SMALL, FRAMES[is_quick], method)
-        else:
-            yield skip(stressed.name, NAME, test, "the method samples uniformly")
-
-
-def _run_full_hd(stressed: StressedMethod) -> StressResult:
+def _run_full_hd(stressed: StressedMethod) -> CheckResult:
     """One frame at 1080p; takes up to half a minute, so it is left to one row of a family."""
     height, width = FULL_HD
     test = f"size-{width}x{height}"
     family, _, variant = stressed.name.partition("/")
     if variant:
-        return skip(stressed.name, NAME, test, f"runs for '{family}', to save time")
+        return not_applicable(test, f"runs for '{family}', to save time")
     return _run_test(stressed, test, FULL_HD, 1)
 
 
@@ -132,34 +107,34 @@ def _run_test(
     size: tuple[int, int],
     frames: int,
     method: Method | None = None,
-) -> StressResult:
+) -> CheckResult:
     """Run some frames of a size at the default budget and judge them."""
     spp = stressed.default_spp
-    try:
-        results = _frames(stressed, method or stressed.method, size, frames, spp)
-    except Exception as error:  # whatever a method raises is its result
-        return report_exception(stressed.name, NAME, test, error)
-    return _judge_frames(stressed, test, results, size, spp)
+
+    def run() -> CheckResult:
+        return _judge_frames(test, _frames(stressed, size, frames, spp, method), size, spp)
+
+    return attempt(stressed.name, test, run)
 
 
 def _frames(
-    stressed: StressedMethod, method: Method, size: tuple[int, int], frames: int, spp: float
+    stressed: StressedMethod,
+    size: tuple[int, int],
+    frames: int,
+    spp: float,
+    method: Method | None = None,
 ) -> list[FrameResult]:
     pool_spp = FULL_HD_POOL_SPP if size == FULL_HD else POOL_SPP
     clip = procedural_clip(SEED, Size(1, *size), frames, pool_spp, device=stressed.device)
-    return list(run_clip(method, clip, spp))
+    return stressed.run(clip, spp, method)
 
 
 def _judge_frames(
-    stressed: StressedMethod,
-    test: str,
-    frames: list[FrameResult],
-    size: tuple[int, int],
-    spp: float,
-) -> StressResult:
+    test: str, frames: list[FrameResult], size: tuple[int, int], spp: float
+) -> CheckResult:
     """Judge the frame with most wrong pixels."""
     wrong, found = max((_count_wrong(frame, size, spp) for frame in frames), key=lambda w: w[0])
-    return judge(stressed.name, NAME, test, wrong, NO_WRONG_PIXELS, found, REMEDY)
+    return judge(test, wrong, NO_WRONG_PIXELS, found, REMEDY)
 
 
 def _count_wrong(result: FrameResult, size: tuple[int, int], spp: float) -> tuple[int, str]:
@@ -175,25 +150,23 @@ def _count_wrong(result: FrameResult, size: tuple[int, int], spp: float) -> tupl
     return wrong, f"{wrong} pixels of frame {result.frame.index} are not finite" if wrong else ""
 
 
-def _judge_scores(stressed: StressedMethod, scores: dict[float, float]) -> StressResult:
+def _judge_scores(scores: dict[float, float]) -> CheckResult:
     """Judge the largest loss of PSNR from a budget to the next larger one."""
     losses = {f"{a:g} to {b:g}": scores[a] - scores[b] for a, b in pairwise(scores)}
     worst = max(losses, key=lambda step: losses[step])
     found = ", ".join(f"{spp:g} spp: {score:.2f} dB" for spp, score in scores.items())
-    loss, test = max(0.0, losses[worst]), "more-samples"
+    loss = max(0.0, losses[worst])
     found = f"largest loss from {worst} spp; {found}" if loss else found
-    return judge(stressed.name, NAME, test, loss, LOSS, found, LOSS_REMEDY)
+    return judge("more-samples", loss, LOSS, found, LOSS_REMEDY)
 
 
 def _psnr(frames: list[FrameResult]) -> float:
     """PSNR of all frames in dB, peak 1, clipped sRGB; a value that is not finite counts as 1."""
     errors = []
     for frame in frames:
-        image, truth = (
-            encode_srgb(x.clamp(0, 1)) for x in (frame.image, frame.frame.reference.mean)
-        )
-        errors.append((image - truth).square().nan_to_num(1.0).mean(dtype=torch.float64))
+        error = to_display(frame.image) - to_display(frame.frame.reference.mean)
+        errors.append(error.square().nan_to_num(1.0).mean(dtype=torch.float64))
     return float(-10 * torch.stack(errors).mean().clamp_min(1e-10).log10())
 
 
-SECTION = MethodSection(NAME, "Does every budget, density and image size work?", _run)
+SECTION = MethodSection("budgets", "Does every budget, density and image size work?", _run)

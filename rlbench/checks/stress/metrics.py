@@ -16,14 +16,11 @@ import torch
 from torch import Tensor
 
 from rlbench import registry
-from rlbench.checks.result import Verdict
-from rlbench.checks.stress.job import report_exception
-from rlbench.checks.stress.result import StressResult
-from rlbench.checks.stress.section import SuiteSection
+from rlbench.checks.result import CheckResult, Limits, Verdict, not_applicable
+from rlbench.checks.stress.section import SuiteSection, report_exception
 
-__all__ = ["NAME", "SECTION", "stress_metric"]
+__all__ = ["SECTION", "stress_metric"]
 
-NAME = "metrics"
 SIZE, TINY = (192, 176), (7, 9)  # height and width; MS-SSIM needs sides above 160 pixels
 SEED = 11
 NOISE = 0.01  # standard deviation of the slightly noisy image, in display whites
@@ -78,17 +75,17 @@ class StressedMetric:
         return difference if self.metric.direction == "lower" else abs(difference)
 
 
-def _run(is_quick: bool) -> Iterator[StressResult]:
+def _run(is_quick: bool) -> Iterator[CheckResult]:
     for name in registry.list_plugins("metrics"):
         try:
             metric = registry.load_plugin("metrics", name)
         except Exception as error:  # third-party code may raise anything
-            yield report_exception("", NAME, f"{name}-import", error)
+            yield report_exception("", f"{name}-import", error)
         else:
             yield from stress_metric(name, metric) if metric.scored_by_run else ()
 
 
-def stress_metric(name: str, metric: Any) -> Iterator[StressResult]:
+def stress_metric(name: str, metric: Any) -> Iterator[CheckResult]:
     """One result for each pair of images; only one if an equal image has no finite score."""
     if "counts" in metric.needs or metric.scores_previous:
         found = (
@@ -96,14 +93,14 @@ def stress_metric(name: str, metric: Any) -> Iterator[StressResult]:
             if metric.scores_previous
             else "says where samples went, not how good an image is"
         )
-        yield StressResult("", NAME, f"{name}-identical", Verdict.SKIPPED, found=found)
+        yield not_applicable(f"{name}-identical", found)
         return
     stressed = StressedMetric(name, metric)
     try:
         equal, noisy = stressed.score(torch.clone), stressed.score(_add_noise)
         tiny = stressed.score(torch.clone, TINY)
     except Exception as error:  # third-party code may raise anything
-        yield report_exception("", NAME, f"{name}-identical", error)
+        yield report_exception("", f"{name}-identical", error)
         return
     stressed = StressedMetric(name, metric, equal, noisy)
     yield _judge_equal(stressed)
@@ -115,13 +112,13 @@ def stress_metric(name: str, metric: Any) -> Iterator[StressResult]:
         try:
             scores[test] = stressed.score(broken)
         except Exception as error:  # third-party code may raise anything
-            yield report_exception("", NAME, f"{name}-{test}", error)
+            yield report_exception("", f"{name}-{test}", error)
     counts_nonfinite = all(stressed.error(scores.get(test, math.nan)) == 0 for test in FINITE)
     for test, score in scores.items():
         yield _judge_broken(stressed, test, score, counts_nonfinite and test in FINITE)
 
 
-def _judge_equal(stressed: StressedMetric) -> StressResult:
+def _judge_equal(stressed: StressedMetric) -> CheckResult:
     """An equal image has error 0, or the highest score."""
     equal, noisy = stressed.equal, stressed.error(stressed.noisy)
     is_best = abs(equal) <= PERFECT or stressed.metric.direction == "higher"
@@ -132,7 +129,7 @@ def _judge_equal(stressed: StressedMetric) -> StressResult:
     return _result(stressed, "identical", Verdict.FAILED, equal, found, remedy)
 
 
-def _judge_tiny(stressed: StressedMetric, score: float) -> StressResult:
+def _judge_tiny(stressed: StressedMetric, score: float) -> CheckResult:
     """At a size for which a metric is undefined, its score is NaN and its convention says why."""
     test, height, width = "tiny", *TINY
     if not math.isnan(score):
@@ -151,7 +148,7 @@ def _judge_tiny(stressed: StressedMetric, score: float) -> StressResult:
 
 def _judge_broken(
     stressed: StressedMetric, test: str, score: float, is_not_counted: bool
-) -> StressResult:
+) -> CheckResult:
     if is_not_counted:
         found = "counts only pixels that are not finite"
         return _result(stressed, test, Verdict.PASSED, score, found)
@@ -179,10 +176,10 @@ def _result(
     score: float,
     found: str = "",
     remedy: str = "",
-) -> StressResult:
+) -> CheckResult:
     name, unit = f"{stressed.name}-{test}", stressed.metric.unit
     found = found or f"scores {score:.6g}{' ' + unit if unit else ''}"
-    return StressResult("", NAME, name, verdict, score, unit, found=found, remedy=remedy)
+    return CheckResult(name, verdict, found, remedy, score, Limits(unit=unit))
 
 
 def _add_noise(reference: Tensor) -> Tensor:
@@ -198,4 +195,4 @@ def _references(height: int, width: int) -> list[Tensor]:
     return [(channels * (frame + 1).square() / 4).contiguous() for frame in frames]
 
 
-SECTION = SuiteSection(NAME, "Does every metric notice a broken image?", _run)
+SECTION = SuiteSection("metrics", "Does every metric notice a broken image?", _run)

@@ -1,21 +1,55 @@
-"""A section of the stress suite, and the method that its tests run."""
+"""Sections of the stress suite: what one is, the method that its tests run, and which there are.
+
+Sections outside the core register themselves as entry points of the group `rlbench.stress`.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
+from pathlib import Path
 
 import torch
 
-from rlbench.checks.stress.result import StressResult
+import rlbench
+from rlbench import registry
+from rlbench.checks.result import CheckResult, failed
+from rlbench.checks.returns import CheckedReturns
+from rlbench.errors import OptionError, PluginError, RlbenchError
 from rlbench.family import Traits
 from rlbench.frames import Clip
 from rlbench.method import Method
+from rlbench.registry.near_names import unknown_name
 from rlbench.run import FrameResult, run_clip
+from rlbench.system import provenance
 
-__all__ = ["MethodSection", "StressedMethod", "SuiteSection"]
+__all__ = [
+    "CORE_SECTIONS",
+    "MethodSection",
+    "StressedMethod",
+    "SuiteSection",
+    "attempt",
+    "list_sections",
+    "load_section",
+    "load_stressed_method",
+    "report_exception",
+    "select_sections",
+    "unavailable_reason",
+]
 
 DEFAULT_SPP = 2.0  # samples per pixel of tests in which the budget does not matter
+RETURN_IMAGE = "return a finite image for this input, without an exception"
+FOLDER = "rlbench.checks.stress"
+CORE_SECTIONS = {  # module:object by name
+    "bad-pixel": f"{FOLDER}.bad_pixel:SECTION",
+    "budgets": f"{FOLDER}.budgets:SECTION",
+    "allocation": f"{FOLDER}.allocation:SECTION",
+    "long-runs": f"{FOLDER}.long_runs:SECTION",
+    "precision": f"{FOLDER}.precision:SECTION",
+    "transformations": f"{FOLDER}.transformations:SECTION",
+    "lying-buffers": f"{FOLDER}.lying_buffers:SECTION",
+    "metrics": f"{FOLDER}.metrics:SECTION",
+}
 
 
 @dataclass(frozen=True)
@@ -34,12 +68,16 @@ class StressedMethod:
     @property
     def default_spp(self) -> float:
         """2 samples per pixel, or the nearest budget that the method supports."""
-        low, high = self.traits.spp_range
-        return min(max(low, DEFAULT_SPP), high)
+        return self.traits.nearest_spp(DEFAULT_SPP)
 
-    def run(self, clip: Clip, spp: float | None = None) -> list[FrameResult]:
-        """The results of all frames of a clip, at `spp` samples per pixel (None: default_spp)."""
-        return list(run_clip(self.method, clip, self.default_spp if spp is None else spp))
+    def run(
+        self, clip: Clip, spp: float | None = None, method: Method | None = None
+    ) -> list[FrameResult]:
+        """The results of all frames of a clip, at `spp` samples per pixel (None: default_spp).
+
+        `method` is a variation that runs in place of the method.
+        """
+        return list(run_clip(method or self.method, clip, self.default_spp if spp is None else spp))
 
 
 @dataclass(frozen=True)
@@ -48,7 +86,7 @@ class MethodSection:
 
     name: str  # as in --only, e.g. "bad-pixel"
     title: str  # the question that the section answers
-    run: Callable[[StressedMethod, bool], Iterator[StressResult]]  # the flag selects the quick form
+    run: Callable[[StressedMethod, bool], Iterator[CheckResult]]  # the flag selects the quick form
 
 
 @dataclass(frozen=True)
@@ -57,4 +95,88 @@ class SuiteSection:
 
     name: str
     title: str
-    run: Callable[[bool], Iterator[StressResult]]  # the flag selects the quick form
+    run: Callable[[bool], Iterator[CheckResult]]  # the flag selects the quick form
+
+
+def attempt(method: str, test: str, run: Callable[[], CheckResult]) -> CheckResult:
+    """The result of a test, also of one that raises; `method` is the name of the row, or ""."""
+    try:
+        return run()
+    except Exception as error:  # whatever a method raises is its result
+        return report_exception(method, test, error)
+
+
+def report_exception(
+    method: str, test: str, error: BaseException, remedy: str = RETURN_IMAGE
+) -> CheckResult:
+    """The failure of a test that raised an exception; names the line that raised it.
+
+    This is the method's own line, if the exception passed through one; else, unless the message
+    says what to do, the suite's.
+    """
+    says_what_to_do = isinstance(error, RlbenchError)
+    suite = [] if says_what_to_do else [Path(rlbench.__file__).parent]
+    found = f"raised {registry.failure_reason(method, error, *suite)}"
+    return failed(test, found, "" if says_what_to_do else remedy)
+
+
+def unavailable_reason(name: str) -> str | None:
+    """Why a method cannot be stressed on this machine, or None.
+
+    >>> unavailable_reason("mean") is None
+    True
+    """
+    variant = registry.get_variant(name)
+    if missing := " ".join(provenance.missing_packages(variant.requires)):
+        return f"needs {missing}, which is not installed: pip install {missing}"
+    if variant.learned and not registry.shipped_weights(name).is_file():
+        return "has no shipped weights, and random ones say nothing about its stability"
+    return None
+
+
+def load_stressed_method(name: str, device: torch.device) -> StressedMethod:
+    """The method with its shipped weights. Raises any exception of its `build` function."""
+    return StressedMethod(name, CheckedReturns(registry.load_method(name, device)), device)
+
+
+def list_sections() -> dict[str, str]:
+    """The `module:object` of each installed section by its name, those of the core first.
+
+    Raises PluginError if a plugin has the name of a section of the core.
+    """
+    plugins = {name: entry.target for name, entry in registry.list_entries("stress").items()}
+    if clash := sorted(CORE_SECTIONS.keys() & plugins.keys()):
+        raise PluginError(
+            f"the stress section '{clash[0]}' of {plugins[clash[0]]} has the name of a section of "
+            "rlbench. Rename it"
+        )
+    return CORE_SECTIONS | plugins
+
+
+def select_sections(names: Iterable[str] = ()) -> list[str]:
+    """The sections with these names, or all, in the order of `list_sections`.
+
+    Raises OptionError for an unknown name.
+    """
+    installed, selected = list_sections(), list(names)
+    if unknown := [name for name in selected if name not in installed]:
+        problem = f"--only {','.join(unknown)}: no such section"
+        raise OptionError(unknown_name(problem, unknown[0], installed, "; there are"))
+    return [name for name in installed if not selected or name in selected]
+
+
+def load_section(name: str) -> MethodSection | SuiteSection:
+    """Import a section.
+
+    Raises PluginError for an object that is no section, or that has another name.
+    """
+    target = list_sections()[name]
+    section = registry.resolve(target)
+    if not isinstance(section, MethodSection | SuiteSection):
+        raise PluginError(
+            f"{target} is an object of type {type(section).__name__}; a stress section is a "
+            "MethodSection or a SuiteSection of rlbench.checks.stress.section"
+        )
+    if section.name != name:
+        raise PluginError(f"{target} has the name '{section.name}', but is registered as '{name}'")
+    return section

@@ -9,16 +9,24 @@ import pytest
 from typer.testing import CliRunner
 
 from rlbench.checks.lint.checks import lint_clip
-from rlbench.checks.lint.dump_arrays import import_arrays
-from rlbench.checks.lint.guess import format_guess, guess_layout
-from rlbench.checks.lint.recognize import recognize_layout
-from rlbench.checks.lint.samples import check_brightness
+from rlbench.checks.lint.clip_arrays import import_arrays
+from rlbench.checks.lint.dump_names import list_unclaimed
+from rlbench.checks.lint.guess import format_guess, guess_layout, recognize_layout
+from rlbench.checks.lint.radiance import check_brightness
 from rlbench.checks.result import Verdict
 from rlbench.cli.app import app
-from rlbench.clips.importers.layout import read_layout
+from rlbench.clips.importers.layout import decode_layout, read_layout
 from rlbench.clips.importers.sequence import SourceError
 from tests.checks.lint.broken_fixtures import correct_clip
-from tests.clips.importers.dumps import WRITERS, write_falcor, write_own, write_unreal
+from tests.checks.lint.renderers import RENDERERS, SAMPLES, write_renderer
+from tests.clips.importers.dumps import (
+    WRITERS,
+    planes,
+    write_falcor,
+    write_file,
+    write_own,
+    write_unreal,
+)
 
 
 @pytest.fixture(scope="module")
@@ -68,6 +76,65 @@ def test_the_written_file_imports_what_was_dumped(own, small):
     np.testing.assert_allclose(found.gbuffer["albedo"], small.gbuffer["albedo"], atol=1e-3)
     # pixels; single precision
     np.testing.assert_allclose(found.gbuffer["motion"], small.gbuffer["motion"], atol=1e-3)
+
+
+UNREAD = {  # what a renderer writes beside the images that are read
+    "Arnold": ["A"],
+    "RenderMan": ["a", "dPcameradtime.x"],
+    "V-Ray": ["A"],
+    "Karma": [],
+    "Redshift": ["A"],
+    "Unreal": ["ActorHitProxyMask.R"],
+    "Blender": ["Composite.Combined.B", "Layer.Denoising Normal.X"],
+}
+LACKS = {
+    "RenderMan": {"motion"},
+    "Redshift": {"normal"},
+    "Unreal": {"albedo"},
+}
+
+
+@pytest.mark.parametrize("name", RENDERERS)
+def test_a_guess_for_a_renderer_imports_without_an_edit(name, small, tmp_path):
+    write_renderer(name, small, tmp_path / "dump")
+    guess = guess_layout(tmp_path / "dump")
+    (tmp_path / "engine.toml").write_text(format_guess(guess))
+    layout = read_layout(str(tmp_path / "engine.toml"))
+    found = import_arrays(tmp_path / "dump", layout)
+    assert set(found.gbuffer) == set(small.gbuffer) - LACKS.get(name, set())
+    assert found.pools["path"].shape[:2] == (3, SAMPLES)
+    for buffer, image in found.gbuffer.items():
+        # half precision, of what was dumped; motion in pixels
+        expected = small.gbuffer[buffer]
+        if (name, buffer) == ("Unreal", "motion"):  # 1 / 2048 of a share is hidden by an offset
+            np.testing.assert_allclose(image, expected, atol=0.02)
+        else:
+            np.testing.assert_allclose(image, expected, atol=2e-3, rtol=2e-3)
+    np.testing.assert_allclose(found.half_a, small.half_a, rtol=1e-6)
+    unread = list_unclaimed(tmp_path / "dump", layout)
+    assert [line.partition(" (")[0].split(",")[0] for line in unread] == UNREAD[name]
+
+
+@pytest.mark.parametrize("kind", ["separate", "accumulated"])
+def test_images_that_count_spp_are_samples_or_their_means_as_their_noise_shows(
+    kind, small, tmp_path
+):
+    for t in range(len(small)):
+        first, second = small.pools["path"][t, :2]
+        images = {
+            "frame_{:04d}.spp1.exr": first,
+            "frame_{:04d}.spp2.exr": second if kind == "separate" else (first + second) / 2,
+            "reference_{:04d}.exr": small.half_a[t],
+        }
+        for name, image in images.items():
+            write_file(tmp_path / "dump" / name.format(t), {"": planes(image, "RGB", kind="f4")})
+    guess = guess_layout(tmp_path / "dump")
+    placeholder = {"separate": "{sample}", "accumulated": "{spp}"}[kind]
+    assert guess.tables["radiance"]["files"] == f"frame_{{frame}}.spp{placeholder}.exr"
+    assert "%" not in guess.reasons["radiance"]
+    found = import_arrays(tmp_path / "dump", decode_layout(guess.tables, "guess"))
+    # twice a mean minus the first sample, in single precision
+    np.testing.assert_allclose(found.pools["path"], small.pools["path"][:, :2], atol=1e-5)
 
 
 @pytest.mark.slow

@@ -1,4 +1,4 @@
-"""The motion check."""
+"""The motion check and its conventions."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ import torch
 
 from rlbench.checks.lint.checks import lint_clip
 from rlbench.checks.lint.clip_arrays import ClipArrays, read_clip_arrays
-from rlbench.checks.lint.motion import check_motion
+from rlbench.checks.lint.motion import FORMAT_V1, MotionConvention, all_conventions, check_motion
 from rlbench.checks.result import Verdict
 from tests.checks.lint.broken_fixtures import correct_clip, store
 
@@ -90,3 +90,15 @@ def test_an_object_before_empty_background_is_compared_alone():
     header = replace(correct_clip(frames=1).header, frames=frames, reference_spp=(1,) * frames)
     found = check_motion(ClipArrays(header, gbuffer, {}, light, light))
     assert found.verdict is Verdict.PASSED, found.found
+
+
+def test_conventions_are_every_combination_once():
+    assert len(set(map(str, all_conventions()))) == len(all_conventions()) == 2 * 4 * 5 * 2
+
+
+def test_a_convention_converts_stored_motion_to_pixels():
+    stored = torch.tensor([0.5, -0.25]).view(1, 2, 1, 1).expand(1, 2, 10, 20)
+    found = MotionConvention(True, (-1, 1), "NDC (-1..1)").to_pixels(stored)
+    # y first: x is -0.25, of the other sign 0.25, times half of 20; y is 0.5 times half of 10
+    torch.testing.assert_close(found[0, :, 0, 0], torch.tensor([2.5, 2.5]))
+    torch.testing.assert_close(FORMAT_V1.to_pixels(stored), stored)

@@ -1,16 +1,20 @@
-"""Tiny methods, each with one fault under stress."""
+"""Tiny methods, each with one fault under stress, and the results of a section for them."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
+from pathlib import Path
 from typing import Any
 
 import torch
 from torch.nn import functional as F
 
-from rlbench.checks.stress.section import StressedMethod
+from rlbench import registry
+from rlbench.checks.result import CheckResult, Verdict
+from rlbench.checks.stress.section import StressedMethod, load_stressed_method
 from rlbench.family import Traits
 from rlbench.ops.reprojection import reproject
+from tests.conftest import write_plugin
 
 TEMPORAL = Traits(inputs=frozenset({"motion"}), temporal=True)
 
@@ -241,6 +245,86 @@ class IgnoresAlbedo(CopiesAlbedo):
         return samples.mean + 0 * gbuffer.albedo, None
 
 
-def make_stressed_method(method) -> StressedMethod:
-    """The method under the name of its class."""
-    return StressedMethod(type(method).__name__, method, torch.device("cpu"))
+class ExposedByMaximum(Mean):
+    """The brightest sample sets the exposure of the whole image."""
+
+    def denoise(self, gbuffer, samples, state):
+        return samples.mean / samples.mean.amax((1, 2, 3), keepdim=True), None
+
+
+class WideBlur(Mean):
+    """A bad sample is spread over 25 x 25 pixels, for one frame."""
+
+    def denoise(self, gbuffer, samples, state):
+        return F.avg_pool2d(samples.mean, 25, 1, 12), None
+
+
+@dataclass(frozen=True)
+class AveragesBlindly(Mean):
+    """An exponential average that never looks at what it keeps."""
+
+    traits: Traits = TEMPORAL
+
+    def start(self, size):
+        return torch.zeros(size.n, 3, size.h, size.w)
+
+    def denoise(self, gbuffer, samples, state):
+        image = torch.lerp(state, samples.mean, 0.5)
+        return image, image
+
+
+@dataclass(frozen=True)
+class DividingByDepth(Mean):
+    """A depth is used as a divisor of a sum over the image."""
+
+    traits: Traits = Traits(inputs=frozenset({"depth"}))
+
+    def denoise(self, gbuffer, samples, state):
+        return samples.mean * gbuffer.depth.nan_to_num(posinf=0).mean(), None
+
+
+@dataclass(frozen=True)
+class AvoidsTheBrightest(Mean):
+    """After a very bright sample the left half of the image gets no samples."""
+
+    traits: Traits = Traits(adaptive=True, temporal=True)
+
+    def start(self, size):
+        return torch.ones(size.n, 1, size.h, size.w)
+
+    def plan(self, gbuffer, samples, state):
+        return state
+
+    def denoise(self, gbuffer, samples, state):
+        density = torch.ones_like(state)
+        if samples.mean.amax() > 2e4:
+            density[..., : density.shape[-1] // 2] = 0
+        return samples.mean, density
+
+
+class RejectsBright(Mean):
+    """Raises an exception for a bright sample."""
+
+    def denoise(self, gbuffer, samples, state):
+        if samples.radiance.amax() > 6e4:
+            raise ArithmeticError("too bright")
+        return samples.mean, None
+
+
+def run_section(section, method, is_quick=True) -> dict[str, CheckResult]:
+    """The results of a section for a method, by the name of the test."""
+    stressed = StressedMethod(type(method).__name__, method, torch.device("cpu"))
+    return {result.check: result for result in section.run(stressed, is_quick)}
+
+
+def verdicts(section, method, is_quick=True) -> dict[str, Verdict]:
+    """The verdicts of a section for a method, by the name of the test."""
+    results = run_section(section, method, is_quick)
+    return {test: result.verdict for test, result in results.items()}
+
+
+def stressed_toy(folder: Path, body: str = "", traits: str = "") -> StressedMethod:
+    """A method `toy` of a plugin that averages its samples, or whose denoiser runs `body`."""
+    file = write_plugin(folder / "toy.py", "toy", traits=traits, **({"body": body} if body else {}))
+    registry.use_plugin(file)
+    return load_stressed_method("toy", torch.device("cpu"))

@@ -6,12 +6,13 @@ import pytest
 import torch
 
 from rlbench.checks.result import Verdict
-from rlbench.checks.stress import allocation, densities
+from rlbench.checks.stress import allocation
+from rlbench.checks.stress.allocation import DENSITIES
 from rlbench.sampling import allocate_counts
 
 
 def failed_tests() -> set[str]:
-    return {r.test for r in allocation.SECTION.run(True) if r.verdict is Verdict.FAILED}
+    return {r.check for r in allocation.SECTION.run(True) if r.verdict is Verdict.FAILED}
 
 
 def test_the_allocation_of_this_suite_passes():
@@ -56,18 +57,18 @@ def test_an_exception_of_the_allocation_is_the_result_of_its_test(monkeypatch):
     assert "raised ZeroDivisionError" in results[0].found
 
 
-@pytest.mark.parametrize("name", densities.DENSITIES)
+@pytest.mark.parametrize("name", DENSITIES)
 def test_a_density_is_finite_at_least_0_and_the_same_every_time(name):
-    density = densities.DENSITIES[name](7, 9)
+    density = DENSITIES[name](7, 9)
     assert density.shape == (1, 1, 7, 9)
     assert density.dtype == torch.float32
     assert density.isfinite().all()
     assert (density >= 0).all()
-    assert torch.equal(density, densities.DENSITIES[name](7, 9))
+    assert torch.equal(density, DENSITIES[name](7, 9))
 
 
 def test_a_denormal_density_is_positive_and_below_the_smallest_normal_float():
-    density = densities.DENSITIES["denormal"](7, 9)
+    density = DENSITIES["denormal"](7, 9)
     assert 0 < density.max() < torch.finfo(torch.float32).tiny
 
 

@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 import pytest
+import torch
 
 from rlbench import registry
 from rlbench.checks.result import Verdict
 from rlbench.checks.stress import budgets
-from rlbench.checks.stress.methods import load_stressed_method
-from tests.checks.stress.toys import CPU, stressed_toy
+from rlbench.checks.stress.section import load_stressed_method
+from tests.checks.stress.broken_methods import stressed_toy
+
+CPU = torch.device("cpu")
 
 TOYS = {  # the fault: body of the denoiser, traits, the tests that find it
     "a division by the number of samples": (
@@ -48,8 +51,8 @@ TOYS = {  # the fault: body of the denoiser, traits, the tests that find it
 
 def failed_tests(stressed) -> set[str]:
     results = list(budgets.SECTION.run(stressed, True))
-    assert len({result.test for result in results}) == len(results)
-    return {result.test for result in results if result.verdict is Verdict.FAILED}
+    assert len({result.check for result in results}) == len(results)
+    return {result.check for result in results if result.verdict is Verdict.FAILED}
 
 
 @pytest.mark.parametrize("fault", TOYS)
@@ -65,7 +68,7 @@ def test_a_sound_method_passes(name):
 
 def test_a_budget_that_a_method_does_not_support_is_skipped_with_the_reason(tmp_path):
     stressed = stressed_toy(tmp_path, traits="spp_range=(1.0, 8.0)")
-    (result,) = (r for r in budgets.SECTION.run(stressed, True) if r.test == "spp-0")
+    (result,) = (r for r in budgets.SECTION.run(stressed, True) if r.check == "spp-0")
     assert result.verdict is Verdict.SKIPPED
     assert result.found == "supports 1 to 8 spp, requested 0"
 
@@ -73,7 +76,7 @@ def test_a_budget_that_a_method_does_not_support_is_skipped_with_the_reason(tmp_
 def test_a_small_loss_from_more_samples_degrades(tmp_path):
     body = "return samples.mean + 0.028 * samples.counts.float().mean(), None"
     results = budgets.SECTION.run(stressed_toy(tmp_path, body), True)
-    (result,) = (result for result in results if result.test == "more-samples")
+    (result,) = (result for result in results if result.check == "more-samples")
     assert result.verdict is Verdict.WARNING
     assert result.found.startswith("largest loss from 2 to 8 spp; 2 spp: ")
 
@@ -82,5 +85,5 @@ def test_a_small_loss_from_more_samples_degrades(tmp_path):
 @pytest.mark.parametrize("name", [n for n in registry.expand(["all/*"]) if "/" not in n])
 def test_a_shipped_method_runs_at_every_budget_and_size_in_the_full_form(name):
     results = list(budgets.SECTION.run(load_stressed_method(name, CPU), False))
-    failed = [r for r in results if r.verdict is Verdict.FAILED and r.test != "more-samples"]
+    failed = [r for r in results if r.verdict is Verdict.FAILED and r.check != "more-samples"]
     assert not failed

@@ -44,7 +44,7 @@ def absolute_correlation(image, a, b):
 
 
 def verdicts(toy) -> dict[str, Verdict]:
-    return {r.test: r.verdict for r in metrics.stress_metric("toy", toy)}
+    return {r.check: r.verdict for r in metrics.stress_metric("toy", toy)}
 
 
 def names_with(verdict: Verdict, toy) -> set[str]:
@@ -68,7 +68,7 @@ def test_a_metric_that_takes_a_negative_for_the_image_fails():
 
 
 def test_an_exception_is_a_failure_with_its_name():
-    results = {result.test: result for result in metrics.stress_metric("toy", metric_of(raising))}
+    results = {result.check: result for result in metrics.stress_metric("toy", metric_of(raising))}
     assert results["toy-nan"].verdict is Verdict.FAILED
     assert results["toy-nan"].found.startswith("raised FloatingPointError: not finite")
     assert results["toy-black"].verdict is Verdict.PASSED
@@ -112,9 +112,9 @@ def test_a_metric_that_is_undefined_at_a_size_says_why():
 
 def test_every_installed_metric_passes():
     results = list(metrics.SECTION.run(True))
-    tested = {result.test.rpartition("-")[0] for result in results}
+    tested = {result.check.rpartition("-")[0] for result in results}
     assert tested > set(registry.load_run_metrics())
     judge_no_image = {"effort_error", "effort_noise", "at_cap", "psnr_late"}  # or the one before
-    skipped = {r.test.rpartition("-")[0] for r in results if r.verdict is Verdict.SKIPPED}
+    skipped = {r.check.rpartition("-")[0] for r in results if r.verdict is Verdict.SKIPPED}
     assert skipped == judge_no_image
     assert {r.verdict for r in results} == {Verdict.PASSED, Verdict.SKIPPED}

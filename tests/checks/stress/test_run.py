@@ -9,22 +9,30 @@ import torch
 from rich.console import Console
 from typer.testing import CliRunner
 
-from rlbench.checks.result import Verdict
+from rlbench.checks.result import CheckResult, Limits, Verdict, judge, not_applicable
 from rlbench.checks.stress import run
-from rlbench.checks.stress.console import count_contained, print_summary
-from rlbench.checks.stress.result import Limits, StressResult, judge, skip
-from rlbench.checks.stress.tables import write_tables
+from rlbench.checks.stress.jobs import FinishedJob, StressJob
+from rlbench.checks.stress.run import count_contained, print_summary, write_tables
 from rlbench.cli.app import app
 from tests.conftest import write_plugin
 
 FAULT = Limits(good=256, fair=1000, unit="pixels")
 RESULTS = (
-    judge("toy", "bad-pixel", "sample-nan", 12, FAULT),
-    judge("toy", "bad-pixel", "depth-nan", 700, FAULT, remedy="clamp depth"),
-    judge("toy", "bad-pixel", "depth-inf", float("inf"), FAULT, remedy="clamp depth"),
-    skip("toy", "bad-pixel", "run", "has no weights"),
-    judge("toy", "budgets", "size-1x1", 0, Limits(0, 0, "pixels")),
+    judge("sample-nan", 12, FAULT),
+    judge("depth-nan", 700, FAULT, remedy="clamp depth"),
+    judge("depth-inf", float("inf"), FAULT, remedy="clamp depth"),
+    not_applicable("run", "has no weights"),
 )
+
+
+def finished(section: str, *results: CheckResult) -> FinishedJob:
+    return FinishedJob(StressJob(section, "toy", True, "cpu"), results)
+
+
+JOBS = [
+    finished("bad-pixel", *RESULTS),
+    finished("budgets", judge("size-1x1", 0, Limits(0, 0, "pixels"))),
+]
 
 
 def stress(*arguments: object, code: int):
@@ -84,7 +92,7 @@ def test_an_unknown_section_ends_with_exit_code_2(tmp_path):
 def test_planted_bad_pixels_are_counted_in_the_last_line():
     console = Console(record=True, width=200, quiet=False)
     with console.capture() as capture:
-        print_summary(RESULTS, console)
+        print_summary(JOBS, console)
     assert capture.get().splitlines() == [
         "passed: 2, degraded: 1, failed: 1, skipped: 1",
         "planted bad pixels: 1 of 3 contained",
@@ -92,16 +100,14 @@ def test_planted_bad_pixels_are_counted_in_the_last_line():
 
 
 def test_shares_of_faults_are_no_planted_faults():
-    share = StressResult(
-        "toy", "bad-pixel", "without-sanitizing", Verdict.WARNING, 50.0, "%", good=100.0
-    )
-    assert count_contained([share]) == (0, 0)
+    share = CheckResult("unsanitized", Verdict.WARNING, figure=50.0, limits=Limits(100.0, 0.0, "%"))
+    assert count_contained([finished("bad-pixel", share)]) == (0, 0)
 
 
 def test_tables_hold_every_result(tmp_path):
-    table, document = write_tables(RESULTS, tmp_path, True, "cpu")
+    table, document = write_tables(JOBS, tmp_path, True, "cpu")
     rows = list(csv.DictReader(table.open()))
-    assert [row["test"] for row in rows] == [result.test for result in RESULTS]
+    assert [row["test"] for row in rows] == [*(result.check for result in RESULTS), "size-1x1"]
     assert [row["verdict"] for row in rows] == ["passed", "degraded", "failed", "skipped", "passed"]
     assert [row["figure"] for row in rows] == ["12", "700", "inf", "", "0"]
     content = json.loads(document.read_text(), parse_constant=lambda name: 1 / 0)  # no NaN

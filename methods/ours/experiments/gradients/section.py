@@ -18,12 +18,11 @@ from methods.ours.experiments.gradients.measure import (
     Saturation,
     measure_saturation,
 )
-from rlbench.checks.stress.result import Limits, StressResult, judge, skip
+from rlbench.checks.result import CheckResult, Limits, judge, not_applicable
 from rlbench.checks.stress.section import SuiteSection
 
 __all__ = ["SECTION", "judge_estimator", "run_gradients"]
 
-NAME = "gradients"
 # A step along the estimate achieves this share of the steepest descent: 0.71 is an angle of 45
 # degrees, where half of the squared gradient is lost.
 DIRECTION = Limits(good=0.95, fair=0.71, unit="cosine")
@@ -55,7 +54,7 @@ BANDS = (
 )
 
 
-def run_gradients(quick: bool) -> Iterator[StressResult]:
+def run_gradients(quick: bool) -> Iterator[CheckResult]:
     """Direction, scale and noise of each estimator that trains `ours`, then saturated ratios."""
     for name, estimator in ESTIMATORS.items():
         if estimator.trains_ours:
@@ -66,7 +65,7 @@ def run_gradients(quick: bool) -> Iterator[StressResult]:
         yield _judge_ratio(ratio, [s for s in measured if s.ratio == ratio])
 
 
-def judge_estimator(name: str, estimator: Estimator, quick: bool = True) -> Iterator[StressResult]:
+def judge_estimator(name: str, estimator: Estimator, quick: bool = True) -> Iterator[CheckResult]:
     """The results of one estimator, over all denoisers and bands of budgets."""
     denoisers = QUICK_DENOISERS if quick else tuple(DENOISERS)
     for band in BANDS:
@@ -74,7 +73,8 @@ def judge_estimator(name: str, estimator: Estimator, quick: bool = True) -> Iter
         budgets = [b for b in (band.quick if quick else band.budgets) if b >= estimator.min_spp]
         if not budgets:
             if band.quick or not quick:
-                yield skip("", NAME, test, "needs a sample in every pixel; not trained below 1 spp")
+                reason = "needs a sample in every pixel; not trained below 1 spp"
+                yield not_applicable(test, reason)
             continue
         draws = (QUICK_DRAWS if quick else FULL_DRAWS) * estimator.noise_factor
         measured = [
@@ -88,40 +88,40 @@ def judge_estimator(name: str, estimator: Estimator, quick: bool = True) -> Iter
         yield _judge_noise(test, measured)
 
 
-def _judge_direction(test: str, measured: Sequence[Measurement], remedy: str) -> StressResult:
+def _judge_direction(test: str, measured: Sequence[Measurement], remedy: str) -> CheckResult:
     resolved = [m for m in measured if m.statistics.is_resolved]
     test = f"{test}-direction"
     if not resolved:
         draws = measured[0].draws
-        return skip("", NAME, test, f"hidden by noise in the mean of {draws} gradients")
+        return not_applicable(test, f"hidden by noise in the mean of {draws} gradients")
     worst = min(resolved, key=lambda m: m.statistics.cosine.value)
     found = f"cosine {worst.statistics.cosine} {_where(worst)}"
-    return judge("", NAME, test, worst.statistics.cosine.value, DIRECTION, found, remedy)
+    return judge(test, worst.statistics.cosine.value, DIRECTION, found, remedy)
 
 
-def _judge_scale(test: str, measured: Sequence[Measurement]) -> StressResult:
+def _judge_scale(test: str, measured: Sequence[Measurement]) -> CheckResult:
     worst = max(measured, key=lambda m: _factor(m.statistics.scale.value))
     found = f"{worst.statistics.scale} times the true length {_where(worst)}"
     remedy = "divide the estimate by its scale, or keep the learning rate per budget"
     figure = _factor(worst.statistics.scale.value)
-    return judge("", NAME, f"{test}-scale", figure, SCALE, found, remedy)
+    return judge(f"{test}-scale", figure, SCALE, found, remedy)
 
 
-def _judge_noise(test: str, measured: Sequence[Measurement]) -> StressResult:
+def _judge_noise(test: str, measured: Sequence[Measurement]) -> CheckResult:
     worst = max(measured, key=lambda m: m.statistics.frames_needed)
     frames = worst.statistics.frames_needed
     found = f"the mean of {frames:.0f} gradients has as much noise as signal {_where(worst)}"
     remedy = "subtract a baseline, credit errors locally, or average more frames per step"
-    return judge("", NAME, f"{test}-noise", frames, NOISE, found, remedy)
+    return judge(f"{test}-noise", frames, NOISE, found, remedy)
 
 
-def _judge_ratio(ratio: str, measured: Sequence[Saturation]) -> StressResult:
+def _judge_ratio(ratio: str, measured: Sequence[Saturation]) -> CheckResult:
     steps = [s for s in measured if s.step.startswith(ADAM_STEP)]
     sizes = ", ".join(f"{s.clipped:.0%} at {s.side}x{s.side}" for s in steps)
     remedy = "use one ratio per block or pixel: AppoSettings(joint_ratio=False)"
     found = f"outside the clip range after one Adam step of 0.001: {sizes} pixels"
     worst = max(s.clipped for s in steps)
-    return judge("", NAME, f"ratio-{ratio}", worst, CLIPPED, found, remedy)
+    return judge(f"ratio-{ratio}", worst, CLIPPED, found, remedy)
 
 
 def _factor(scale: float) -> float:
@@ -134,5 +134,5 @@ def _where(measurement: Measurement) -> str:
 
 
 SECTION = SuiteSection(
-    NAME, "How biased and how noisy are the gradients that train a sampler?", run_gradients
+    "gradients", "How biased and how noisy are the gradients that train a sampler?", run_gradients
 )

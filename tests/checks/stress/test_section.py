@@ -1,0 +1,65 @@
+"""Sections are found by name: those of the core that exist, then those of plugins."""
+
+from __future__ import annotations
+
+import sys
+
+import pytest
+
+from rlbench.checks.stress.section import list_sections, load_section, select_sections
+from rlbench.errors import OptionError, PluginError
+
+MODULE = """
+from rlbench.checks.stress.section import SuiteSection
+SECTION = SuiteSection("{name}", "Is it there?", lambda is_quick: iter(()))
+"""
+
+
+def install(folder, monkeypatch, name, content=MODULE):
+    """A package that registers the stress section `name`."""
+    (folder / "extra_section.py").write_text(content.format(name=name))
+    info = folder / "extra-1.dist-info"
+    info.mkdir()
+    (info / "METADATA").write_text("Metadata-Version: 2.1\nName: extra\nVersion: 1\n")
+    (info / "entry_points.txt").write_text(f"[rlbench.stress]\n{name} = extra_section:SECTION\n")
+    monkeypatch.syspath_prepend(folder)
+    monkeypatch.delitem(sys.modules, "extra_section", raising=False)  # that of another test
+
+
+@pytest.mark.parametrize("name", list_sections())
+def test_every_section_can_be_loaded_and_asks_a_question(name):
+    section = load_section(name)
+    assert section.name == name
+    assert section.title.endswith("?")
+
+
+def test_a_section_of_a_plugin_is_listed_last(tmp_path, monkeypatch):
+    install(tmp_path, monkeypatch, "zebra")
+    assert list(list_sections())[-1] == "zebra"
+    assert load_section("zebra").title == "Is it there?"
+
+
+@pytest.mark.parametrize(
+    ("name", "content", "problem"),
+    [
+        ("budgets", MODULE, "has the name of a section of rlbench"),
+        ("zebra", "SECTION = '{name}'", "an object of type str"),
+        ("zebra", MODULE.format(name="horse"), "has the name 'horse'"),
+    ],
+)
+def test_a_plugin_that_is_no_section_of_its_own_is_refused(
+    tmp_path, monkeypatch, name, content, problem
+):
+    install(tmp_path, monkeypatch, name, content)
+    with pytest.raises(PluginError, match=problem):
+        load_section(name)
+
+
+def test_selected_sections_keep_the_order_of_the_suite():
+    assert select_sections(["metrics", "budgets"]) == ["budgets", "metrics"]
+    assert select_sections() == list(list_sections())
+
+
+def test_an_unknown_section_is_an_error_with_the_nearest_one():
+    with pytest.raises(OptionError, match="--only budget: no such section. Did you mean 'budgets'"):
+        select_sections(["budget"])
