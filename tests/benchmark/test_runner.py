@@ -385,7 +385,6 @@ def test_changed_code_replaces_the_older_rows(clip_folder, tmp_path):
     assert len(table.cells(tmp_path / "r")) == 1
 
 
-NO_BUILD = {"build": "import os; os._exit(0)"}
 SHAPE, DTYPE = "samples.mean[:, :1]", "samples.mean.half()"
 NAN = {"body": "return samples.mean * float('nan'), None"}
 
