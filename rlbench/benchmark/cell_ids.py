@@ -31,9 +31,9 @@ TIMING = (
     "rlbench.benchmark.scatter",
     "rlbench.benchmark.time_rows",
     "rlbench.benchmark.timing_cache",
-    "rlbench.render.jobs.scatter",
+    "rlbench.render.jobs.live_pool",
     "rlbench.render.mitsuba.tracer",
-    "rlbench.system.memory",
+    "rlbench.system.process_settings",
 )  # modules that measure times
 
 

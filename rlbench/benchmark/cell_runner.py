@@ -30,7 +30,7 @@ from rlbench.benchmark.timing_cache import TimingCache, TimingCallback
 from rlbench.method import Method, config_json
 from rlbench.parallel.executor import Executor, JobResult, ProgressCallback, Resources
 from rlbench.run import run_clip
-from rlbench.system.memory import keep_freed_memory
+from rlbench.system.process_settings import keep_freed_memory
 from rlbench.training.dataset import QUICK_PREFIX, QUICK_REMARK
 
 __all__ = ["CellOutput", "CellRunner"]

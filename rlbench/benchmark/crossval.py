@@ -16,7 +16,7 @@ from rlbench.benchmark.clip_sources import StoredSource
 from rlbench.benchmark.resolve import resolve_method
 from rlbench.benchmark.run_plan import RunPlan
 from rlbench.benchmark.runner import ProgressCallbacks, RunSummary, measure
-from rlbench.render.jobs import preset_clips
+from rlbench.render.jobs import render_clips
 from rlbench.render.presets import PRESETS
 from rlbench.training import dataset
 from rlbench.training.dataset import TrainingSplit
@@ -84,7 +84,7 @@ def folds(preset: str, scenes: Sequence[str], names: Sequence[str]) -> list[Fold
             dataset.split_holdout(scene, preset, pools),
             tuple(
                 StoredSource(folder)
-                for folder in preset_clips.render_preset_clips([scene], preset, pool_kinds=pools)
+                for folder in render_clips.render_preset_clips([scene], preset, pool_kinds=pools)
             ),
         )
         for scene in scenes or preset_scenes or ["any"]

@@ -10,7 +10,7 @@ from rlbench.benchmark import cost_profile
 from rlbench.errors import OptionError
 from rlbench.render.presets import get_preset
 from rlbench.system import paths
-from rlbench.system.disk import check_writable
+from rlbench.system.paths import check_writable
 from rlbench.weights import read_card
 
 __all__ = ["check_budgets", "check_run", "check_times_alone"]

@@ -46,7 +46,7 @@ def card(
     from rlbench.benchmark.hub_cards import dataset_card, weights_card
     from rlbench.cli.download import rendered_clips
     from rlbench.system import paths
-    from rlbench.system.disk import check_writable
+    from rlbench.system.paths import check_writable
     from rlbench.weights import card_path
 
     if out:

@@ -46,7 +46,7 @@ def pack(
     from rlbench.cli import console
     from rlbench.clips.archive import clip_digests, pack_clip
     from rlbench.clips.mirrors import INDEX, ClipArchive, file_hash, write_registry
-    from rlbench.system.disk import check_writable
+    from rlbench.system.paths import check_writable
 
     check_writable(out)
     folders = rendered_clips(preset, arguments.split_names(scenes))
@@ -110,7 +110,7 @@ def download(
     from rlbench.clips.mirrors import fetch
     from rlbench.render.presets import get_preset
     from rlbench.system import paths
-    from rlbench.system.disk import check_writable
+    from rlbench.system.paths import check_writable
 
     get_preset(preset)
     target = out or paths.clips_folder() / preset

@@ -63,7 +63,7 @@ def fingerprint(
     from rlbench.checks.fingerprint.run import fingerprint_method
     from rlbench.checks.fingerprint.tables import to_rich_table, write_losses
     from rlbench.clips.clip_folders import find_all_clips
-    from rlbench.system.disk import check_writable
+    from rlbench.system.paths import check_writable
 
     target, folders = select_device(device), find_all_clips(clips)
     check_writable(out)

@@ -107,7 +107,7 @@ def regress(
     from rlbench.benchmark.regression.comparison import compare
     from rlbench.benchmark.regression.scores import only_preset
     from rlbench.benchmark.results import read
-    from rlbench.system.disk import check_writable
+    from rlbench.system.paths import check_writable
 
     for option, file in (("--junit", junit), ("--summary", summary)):
         if file:

@@ -89,7 +89,7 @@ def speed(
     from rlbench.benchmark.speed import Configuration, failed_rows, measure_speed
     from rlbench.benchmark.speed_page import write_speed
     from rlbench.cli import console
-    from rlbench.system.disk import check_writable
+    from rlbench.system.paths import check_writable
 
     target = select_device(device)
     backends = [select_backend(name, target) for name in arguments.split_names(backend) or [EAGER]]

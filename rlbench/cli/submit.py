@@ -75,7 +75,7 @@ def submit(
     from rlbench.benchmark.submission.document import SUFFIX, write_submission
     from rlbench.benchmark.submission.failures import drop_failed
     from rlbench.cli.reports import select_rows
-    from rlbench.system.disk import check_writable
+    from rlbench.system.paths import check_writable
 
     target = out or results / f"submission{SUFFIX}"
     rows = read(results)

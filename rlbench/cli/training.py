@@ -89,7 +89,7 @@ def train(
     load_plugins(plugin)
     names = arguments.trainable_methods(methods or ["all"])  # before torch
     from rlbench.parallel.time_limit import TimeLimit, TimeLimitedExecutor
-    from rlbench.system.disk import check_writable
+    from rlbench.system.paths import check_writable
     from rlbench.training import dataset
     from rlbench.training.logger import tensorboard_hint
     from rlbench.training.run_folder import QUICK, find_weights
@@ -161,7 +161,7 @@ def lr_find(
     """
     load_plugins(plugin)
     names = arguments.trainable_methods(arguments.require_methods(methods))  # before torch
-    from rlbench.system.disk import check_writable
+    from rlbench.system.paths import check_writable
 
     check_writable(out)
     config = training_config(frames, batch, crop, seed, max_grad_norm, bf16, train_spp)

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from rlbench.errors import OptionError
-from rlbench.render.jobs.preset_clips import render_preset_clips
+from rlbench.render.jobs.render_clips import render_preset_clips
 from rlbench.render.presets import PRESETS
 from rlbench.training.own_clips import find_own_clips
 
