@@ -251,7 +251,8 @@ def list_unclaimed(source: Path, layout: Layout) -> list[str]:
         for part, channels in list_channels(path).items():
             for layer, letters in _layers(channels).items():
                 read = {n for n in letters.values() if _is_read(layout, relative, part, n)}
-                key = f"{part}:{layer}" if part or layer else pattern
+                is_file = not (part or layer or read) and len(letters) > 1  # an image of its own
+                key = pattern if is_file else f"{part}:{layer}"
                 claimed |= {f"{key} {name}" for name in read}
                 free = [name for name in letters.values() if name not in read]
                 if free and key not in found:

@@ -1,4 +1,4 @@
-"""A correct clip passes all checks, each fault fails exactly its own; and the command."""
+"""A correct clip passes all checks, and each fault fails exactly its own; the command lint."""
 
 from __future__ import annotations
 
@@ -18,7 +18,6 @@ from tests.checks.lint.broken_fixtures import FAULTS, break_values, correct_clip
 
 QUICK = (  # one of each module runs always, all of them when slow tests do
     "y of motion points up",
-    "the sky does not move",
     "depth is the distance to the camera",
     "normals are in camera space",
     "albedo is sRGB",
