@@ -69,8 +69,8 @@ def _compare_with_offsets(arrays: ClipArrays, frames: list[int], found: Tensor) 
         return f"motion seems to contain the jitter: {contained:.0%} of its change between frames"
     if share > expected + 0.5:
         return (
-            f"the reference seems to be jittered as the samples are: it moves by {share:.0%} of the "
-            "change of the jitter, [reference] jittered = true says so"
+            f"the reference seems to be jittered as the samples are, it moves by {share:.0%} of "
+            "the jitter's change: [reference] jittered = true says so"
         )
     return ""
 
