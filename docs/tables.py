@@ -17,7 +17,7 @@ from functools import cache
 from pathlib import Path
 
 from rlbench import registry
-from rlbench.benchmark.site_facts import MethodFacts, method_facts
+from rlbench.benchmark.listing import MethodFacts, method_facts
 
 ROOT = Path(__file__).parents[1]
 DOCS = ROOT / "docs"

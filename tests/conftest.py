@@ -11,7 +11,7 @@ import torch
 
 from rlbench import registry
 from rlbench.clips.stored import Header, write_frame, write_header
-from rlbench.render.mitsuba.llvm import wheel_files
+from rlbench.render.mitsuba.variant import wheel_files
 from rlbench.system import paths
 
 # Dr.Jit loads LLVM on its first import, which may be a test's own: not an older one of the system

@@ -12,7 +12,7 @@ from rlbench.benchmark.run_plan import RunPlan
 from rlbench.benchmark.runner import measure, read_cells
 from rlbench.cli.regress import select_baseline
 from rlbench.render.jobs.render_clips import ensure
-from rlbench.render.mitsuba.llvm import select_variant
+from rlbench.render.mitsuba.variant import select_variant
 from rlbench.system import paths
 
 BASELINE = find_baseline("mini")

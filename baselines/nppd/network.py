@@ -177,9 +177,7 @@ def _convolutions(channels: int, widths: tuple[int, ...]) -> nn.Sequential:
 
 
 def apply_partitioning_pyramid(
-    irradiance: Float[Tensor, "n 3 h w"],
-    previous: Float[Tensor, "n 3 h w"],
-    weights: FilterWeights,
+    irradiance: Float[Tensor, "n 3 h w"], previous: Float[Tensor, "n 3 h w"], weights: FilterWeights
 ) -> Float[Tensor, "n 3 h w"]:
     """Irradiance split over levels and splatted, blended with the splatted previous image.
 

@@ -102,159 +102,170 @@ AT_LEAST_ONE = replace(TRAITS, min_samples=1, spp_range=(1.0, 8.0))
 
 
 def _row(
-    question: str, config: Config, traits: Traits = TRAITS, **options: Any
+    question: str,
+    base: Config,
+    traits: Traits = TRAITS,
+    learned: bool = True,
+    pretrained: bool = True,
+    weights_from: str | None = None,
+    **changes: Any,
 ) -> tuple[Config, Variant]:
-    return config, Variant(question, traits, **options)
+    """A row: the settings of `base` with `changes`, and the arguments of its `Variant`."""
+    return replace(base, **changes), Variant(question, traits, learned, pretrained, weights_from)
 
 
-def _not_trained(
-    question: str, config: Config, weights_from: str, traits: Traits = TRAITS
-) -> tuple[Config, Variant]:
-    """A row with the weights of the row that it changes."""
-    return _row(question, config, traits, weights_from=weights_from)
+def _paper(question: str, traits: Traits = TRAITS, **changes: Any) -> tuple[Config, Variant]:
+    return _row(f"In the paper's recipe, {question}", PAPER, traits, **changes)
 
 
-def _not_shipped(question: str, **changes: Any) -> tuple[Config, Variant]:
-    """A row of `ours/latent` without weights: `rlbench train` makes them."""
-    return _row(question, replace(LATENT, **changes), pretrained=False)
+def _appendix(question: str, **changes: Any) -> tuple[Config, Variant]:
+    """A row of `ours/latent` without shipped weights: `rlbench train` makes them."""
+    return _row(question, LATENT, pretrained=False, **changes)
 
 
+NO_MEMORY: dict[str, Any] = {"encoder": (), "history_mode": "nothing"}
+LAST_SAMPLES: dict[str, Any] = {"encoder": (), "history_mode": "samples"}
 ROWS = {
     "": _row("Do a learned density and denoiser pay, behind a memory by rule?", OURS),
-    "A1": _row(
-        "Is the surrogate gradient alone as good?",
-        replace(OURS, learner="surrogate"),
-        AT_LEAST_ONE,
-    ),
+    "A1": _row("Is the surrogate gradient alone as good?", OURS, AT_LEAST_ONE, learner="surrogate"),
     "A2": _row(
         "Is adaptive sampling worth its time? (uniform sampling)",
-        replace(OURS, sampler=(), contrast_density=False),
+        OURS,
         UNIFORM,
+        sampler=(),
+        contrast_density=False,
     ),
-    "by-rule": _not_trained(
+    "by-rule": _row(
         "What does the learned density give over a rule? (density by contrast)",
-        replace(OURS, ignore_density=True),
-        "ours",
+        OURS,
+        weights_from="ours",
+        ignore_density=True,
     ),
-    "flat": _not_trained(
+    "flat": _row(
         "What does the density map itself give? (weights of ours, sampled uniformly)",
-        replace(OURS, ignore_density=True, contrast_density=False),
-        "ours",
+        OURS,
         UNIFORM,
+        weights_from="ours",
+        ignore_density=True,
+        contrast_density=False,
     ),
-    "lag": _not_trained(
+    "lag": _row(
         "Does antilag pay? (weights of ours, history is never rejected)",
-        replace(OURS, antilag=False),
-        "ours",
+        OURS,
+        weights_from="ours",
+        antilag=False,
     ),
     "latent": _row(
         "Do the paper's encoder and recurrent state pay, beside accumulated radiance?", LATENT
     ),
     "latent-A1": _row(
         "With the latent state, is the surrogate gradient alone as good?",
-        replace(LATENT, learner="surrogate"),
+        LATENT,
         AT_LEAST_ONE,
+        learner="surrogate",
     ),
     "latent-A2": _row(
         "With the latent state, is adaptive sampling worth its time? (uniform sampling)",
-        replace(LATENT, sampler=()),
+        LATENT,
         UNIFORM,
+        sampler=(),
     ),
-    "latent-reinforce": _not_shipped(
+    "latent-reinforce": _appendix(
         "Is REINFORCE enough, without the surrogate gradient?", learner="reinforce"
     ),
-    "latent-stochastic": _not_shipped(
+    "latent-stochastic": _appendix(
         "Is the gradient through stochastic rounding as good?", learner="stochastic"
     ),
     "latent-B1": _row(
         "Does the state pay? (history for the sampler only: the last samples)",
-        replace(LATENT, encoder=(), history_mode="samples", accumulation="frame"),
+        LATENT,
+        accumulation="frame",
+        **LAST_SAMPLES,
     ),
     "latent-B2": _row(
         "Does any history pay? (every frame by itself)",
-        replace(LATENT, encoder=(), history_mode="nothing", accumulation="frame"),
+        LATENT,
         SINGLE_FRAME,
+        accumulation="frame",
+        **NO_MEMORY,
     ),
     "latent-C": _row(
-        "Do individual samples pay? (their mean enters the encoder)",
-        replace(LATENT, sample_encoding="mean"),
+        "Do individual samples pay? (their mean enters the encoder)", LATENT, sample_encoding="mean"
     ),
-    "latent-C+count": _not_shipped(
+    "latent-C+count": _appendix(
         "Is it the samples, or their number? (their mean and count)",
         sample_encoding="mean and count",
     ),
     "latent-small": _row(
         "Are smaller networks enough? (all three)",
-        replace(LATENT, sampler=(1, 2), encoder_kernel=1, denoiser=FAST_WIDTHS),
+        LATENT,
+        sampler=(1, 2),
+        encoder_kernel=1,
+        denoiser=FAST_WIDTHS,
     ),
     "latent-initial": _row(
         "What does training give? (before the first step, sampled uniformly)",
-        replace(LATENT, sampler=()),
+        LATENT,
         UNIFORM,
         learned=False,
+        sampler=(),
     ),
-    "latent-by-rule": _not_trained(
+    "latent-by-rule": _row(
         "With the latent state, what does the learned density give over a rule?",
-        replace(LATENT, ignore_density=True, contrast_density=True),
-        "ours/latent",
+        LATENT,
+        weights_from="ours/latent",
+        ignore_density=True,
+        contrast_density=True,
     ),
     "latent-stateless": _row(
-        "What does the latent give beside accumulated radiance? (no latent)",
-        replace(LATENT, latent=0),
+        "What does the latent give beside accumulated radiance? (no latent)", LATENT, latent=0
     ),
-    "latent-flat": _not_trained(
+    "latent-flat": _row(
         "With the latent state, what does the density map itself give? (sampled uniformly)",
-        replace(LATENT, ignore_density=True),
-        "ours/latent",
+        LATENT,
         UNIFORM,
+        weights_from="ours/latent",
+        ignore_density=True,
     ),
-    "latent-lag": _not_trained(
+    "latent-lag": _row(
         "With the latent state, does antilag pay? (history is never rejected)",
-        replace(LATENT, antilag=False),
-        "ours/latent",
+        LATENT,
+        weights_from="ours/latent",
+        antilag=False,
     ),
-    "latent-sampler-small": _not_shipped("Is a sampler of one level enough?", sampler=(1, 2)),
-    "latent-sampler-large": _not_shipped(
+    "latent-sampler-small": _appendix("Is a sampler of one level enough?", sampler=(1, 2)),
+    "latent-sampler-large": _appendix(
         "Does a sampler of the size of the first U-Net pay?", sampler=(64, 128, 256, 512, 1024)
     ),
-    "latent-encoder-small": _not_shipped(
+    "latent-encoder-small": _appendix(
         "Does the encoder need neighbouring pixels? (1x1 kernels)", encoder_kernel=1
     ),
-    "latent-encoder-large": _not_shipped(
+    "latent-encoder-large": _appendix(
         "Do two more layers in the encoder pay?", encoder=(64, 64, 64)
     ),
-    "latent-denoiser-small": _not_shipped("Is OIDN's fast network enough?", denoiser=FAST_WIDTHS),
-    "latent-denoiser-large": _not_shipped(
+    "latent-denoiser-small": _appendix("Is OIDN's fast network enough?", denoiser=FAST_WIDTHS),
+    "latent-denoiser-large": _appendix(
         "Does a denoiser of twice the width pay?", denoiser=DOUBLE_WIDTHS
     ),
     "paper": _row("What does the paper's own recipe reach, from random weights?", PAPER),
     "paper-appo": _row(
-        "Does one policy over the image learn? (the paper's recipe, by APPO)",
-        replace(PAPER, learner="appo"),
+        "Does one policy over the image learn? (the paper's recipe, by APPO)", PAPER, learner="appo"
     ),
     # without a reward, or a memory, later frames do not count: gamma is 0
-    "paper-A1": _row(
-        "In the paper's recipe, is the surrogate gradient as good?",
-        replace(PAPER, learner="surrogate", gamma=0.0),
-        AT_LEAST_ONE,
+    "paper-A1": _paper(
+        "is the surrogate gradient as good?", AT_LEAST_ONE, learner="surrogate", gamma=0.0
     ),
-    "paper-A2": _row(
-        "In the paper's recipe, is adaptive sampling worth its time? (uniform sampling)",
-        replace(PAPER, sampler=()),
-        UNIFORM,
+    "paper-A2": _paper(
+        "is adaptive sampling worth its time? (uniform sampling)", UNIFORM, sampler=()
     ),
-    "paper-B1": _row(
-        "In the paper's recipe, does the encoder pay? (the sampler reads the last samples)",
-        replace(PAPER, encoder=(), history_mode="samples"),
+    "paper-B1": _paper(
+        "does the encoder pay? (the sampler reads the last samples)", **LAST_SAMPLES
     ),
-    "paper-B2": _row(
-        "In the paper's recipe, does any history pay? (every frame by itself)",
-        replace(PAPER, encoder=(), history_mode="nothing", gamma=0.0),
-        SINGLE_FRAME,
+    "paper-B2": _paper(
+        "does any history pay? (every frame by itself)", SINGLE_FRAME, gamma=0.0, **NO_MEMORY
     ),
-    "paper-C": _row(
-        "In the paper's recipe, do individual samples pay? (their mean enters the encoder)",
-        replace(PAPER, sample_encoding="mean"),
+    "paper-C": _paper(
+        "do individual samples pay? (their mean enters the encoder)", sample_encoding="mean"
     ),
 }
 VARIANTS = {name: config for name, (config, _) in ROWS.items()}

@@ -1,10 +1,14 @@
-"""Accumulators: the radiance that the denoiser reads, and the image from its output."""
+"""Accumulators: the radiance that the denoiser reads, and the image from its output.
+
+`accumulate` returns the radiance up to this frame without holes, and the frame with the history
+that is kept. `reconstruct` returns the image in linear radiance, and the latent for the next frame.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import NamedTuple, Protocol
+from typing import NamedTuple
 
 import torch
 from jaxtyping import Float, Int
@@ -16,12 +20,7 @@ from baselines.oidn.method import to_signed_radiance
 from methods.ours.history import ReprojectedHistory, network_features
 from methods.ours.networks import MISSING
 from rlbench.frames import GBuffer, Samples
-from rlbench.ops.accumulation import (
-    AccumulatedRadiance,
-    accumulate,
-    fill_holes,
-    frame_radiance,
-)
+from rlbench.ops.accumulation import AccumulatedRadiance, accumulate, fill_holes, frame_radiance
 from rlbench.ops.antilag import history_confidence
 from rlbench.ops.exposure import autoexposure
 from rlbench.ops.kernels import apply_kernels
@@ -50,18 +49,6 @@ class SampledFrame(NamedTuple):
     trust: Float[
         Tensor, "n _ h w"
     ]  # in accumulated radiance, in [0, 1], if the encoder predicts it
-
-
-class Accumulator(Protocol):
-    """Accumulates radiance before the denoiser and reconstructs the image behind it."""
-
-    def accumulate(self, frame: SampledFrame) -> tuple[AccumulatedRadiance, SampledFrame]:
-        """Radiance up to this frame without holes, and the frame with history that is kept."""
-
-    def reconstruct(
-        self, denoiser: Denoiser, frame: SampledFrame, radiance: AccumulatedRadiance
-    ) -> tuple[Float[Tensor, "n 3 h w"], Float[Tensor, "n s h w"]]:
-        """The image in linear radiance, and the latent for the next frame."""
 
 
 @dataclass(frozen=True)
@@ -159,6 +146,9 @@ class RuleRadiance(TemporalRadiance):
         return mix_with_previous(image, blend, history), written.tanh()
 
 
+Accumulator = StateOnly | FrameRadiance | TemporalRadiance
+
+
 def hold_static(
     latent: Float[Tensor, "n s h w"],
     trust: Float[Tensor, "n 1 h w"],
@@ -174,9 +164,7 @@ def hold_static(
 
 
 def mix_with_previous(
-    image: Float[Tensor, "n 3 h w"],
-    blend: Float[Tensor, "n 1 h w"],
-    history: ReprojectedHistory,
+    image: Float[Tensor, "n 3 h w"], blend: Float[Tensor, "n 1 h w"], history: ReprojectedHistory
 ) -> Float[Tensor, "n 3 h w"]:
     """The image mixed with the previous one in log transfer; `blend` is the logit of its weight."""
     weight = blend.sigmoid() * history.similarity

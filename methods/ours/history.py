@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import NamedTuple, Protocol
+from typing import NamedTuple
 
 import torch
 from jaxtyping import Bool, Float
 from torch import Tensor
 
+from methods.ours import HistoryMode
 from methods.ours.networks import GBUFFER_CHANNELS, MISSING
 from rlbench.frames import GBuffer, Samples, Size
 from rlbench.ops.accumulation import AccumulatedRadiance, feature_similarity, surface_features
@@ -25,13 +26,10 @@ from rlbench.ops.transfer import log_forward
 
 __all__ = [
     "DenoisedFrame",
-    "HistoryModel",
-    "LatentHistory",
-    "NoHistory",
+    "FeatureHistory",
     "RadianceHistory",
     "RecurrentState",
     "ReprojectedHistory",
-    "SampleHistory",
     "detach",
     "gbuffer_features",
     "network_features",
@@ -128,7 +126,7 @@ def network_features(radiance: AccumulatedRadiance) -> Float[Tensor, "n 5 h w"]:
 
 
 class DenoisedFrame(NamedTuple):
-    """All results of one frame; a HistoryModel selects what to remember."""
+    """All results of one frame, of which the history selects what to remember."""
 
     gbuffer: GBuffer
     samples: Samples
@@ -138,60 +136,35 @@ class DenoisedFrame(NamedTuple):
     image: Float[Tensor, "n 3 h w"]  # linear radiance
 
 
-class HistoryModel(Protocol):
-    """Decides what is carried from frame to frame."""
-
-    def start(self, size: Size, device: torch.device) -> RecurrentState:
-        """The state before the first frame."""
-
-    def reproject(self, gbuffer: GBuffer, state: RecurrentState) -> ReprojectedHistory:
-        """The state at the pixels of the current frame."""
-
-    def remember(self, frame: DenoisedFrame, age: int) -> RecurrentState:
-        """The state after a frame."""
-
-
 @dataclass(frozen=True)
-class NoHistory:
-    """Nothing: every frame by itself. Motion vectors are not read."""
+class FeatureHistory:
+    """Features of the previous frame, reprojected by bilinear taps: its latent or its samples.
 
-    def start(self, size: Size, device: torch.device) -> RecurrentState:
-        """A state of zero channels."""
-        n, h, w = size
-        return RecurrentState.of_features(torch.empty(n, 0, h, w, device=device), 0)
+    With the mode "nothing" there are none: every frame by itself. Motion vectors are not read then.
+    """
 
-    def reproject(self, gbuffer: GBuffer, state: RecurrentState) -> ReprojectedHistory:
-        """The G-buffer features alone."""
-        return ReprojectedHistory.of_features(gbuffer_features(gbuffer), state.features)
-
-    def remember(self, frame: DenoisedFrame, age: int) -> RecurrentState:
-        """A state of zero channels."""
-        return RecurrentState.of_features(frame.latent[:, :0], age)
-
-
-@dataclass(frozen=True)
-class LatentHistory:
-    """The latent of the previous frame, reprojected by bilinear taps."""
-
-    channels: int
+    mode: HistoryMode
+    channels: int  # of the features
     bptt: int = 1  # frames that gradients flow back through
 
     def start(self, size: Size, device: torch.device) -> RecurrentState:
-        """MISSING everywhere."""
+        """The state before the first frame: MISSING everywhere."""
         return RecurrentState.of_features(_missing(self.channels, size, device), 0)
 
     def reproject(self, gbuffer: GBuffer, state: RecurrentState) -> ReprojectedHistory:
-        """The previous latent at the current pixels; MISSING where it is not valid."""
-        state = self.truncate(state)
-        features = repair_history(state.features, -1.0, MAX_FEATURE)
-        features, valid = reproject(features, gbuffer.motion)
-        features = features.where(valid & (state.age > 0), MISSING)
+        """The state at the pixels of the current frame; MISSING where it is not valid."""
+        features = self.truncate(state).features
+        if self.channels:
+            features = repair_history(features, -1.0, MAX_FEATURE)
+            features, valid = reproject(features, gbuffer.motion)
+            features = features.where(valid & (state.age > 0), MISSING)
         inputs = torch.cat((gbuffer_features(gbuffer), features), dim=1)
         return ReprojectedHistory.of_features(inputs, features)
 
     def remember(self, frame: DenoisedFrame, age: int) -> RecurrentState:
-        """The latent."""
-        return RecurrentState.of_features(frame.latent, age)
+        """The state after a frame."""
+        features = frame.encoded if self.mode == "samples" else frame.latent[:, : self.channels]
+        return RecurrentState.of_features(features, age)
 
     def truncate(self, state: RecurrentState) -> RecurrentState:
         """The state, detached every `bptt` frames (truncated backpropagation through time)."""
@@ -199,16 +172,7 @@ class LatentHistory:
 
 
 @dataclass(frozen=True)
-class SampleHistory(LatentHistory):
-    """The encoded samples of the previous frame."""
-
-    def remember(self, frame: DenoisedFrame, age: int) -> RecurrentState:
-        """The encoded samples."""
-        return RecurrentState.of_features(frame.encoded, age)
-
-
-@dataclass(frozen=True)
-class RadianceHistory(LatentHistory):
+class RadianceHistory(FeatureHistory):
     """The latent, accumulated radiance, previous image and G-buffer.
 
     Radiance and image are reprojected by bicubic taps, since bilinear ones blur a little more in

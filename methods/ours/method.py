@@ -23,17 +23,14 @@ from methods.ours.accumulators import (
 )
 from methods.ours.history import (
     DenoisedFrame,
-    HistoryModel,
-    LatentHistory,
-    NoHistory,
+    FeatureHistory,
     RadianceHistory,
     RecurrentState,
     ReprojectedHistory,
-    SampleHistory,
     gbuffer_features,
 )
 from methods.ours.initialization import initialize
-from methods.ours.networks import SAMPLE_ENCODINGS, Networks, Sampler
+from methods.ours.networks import SAMPLE_ENCODINGS, Networks, Sampler, history_features
 from rlbench.family import Family, Traits
 from rlbench.frames import GBuffer, Samples, Size
 from rlbench.ops.fireflies import limit_fireflies
@@ -97,7 +94,7 @@ class Ours:
     traits: Traits
     networks: Networks
     sampler: Sampler | None  # None samples uniformly
-    history: HistoryModel
+    history: FeatureHistory
     accumulator: Accumulator
     memo: ReprojectionMemo[ReprojectedHistory] = field(
         default_factory=ReprojectionMemo, repr=False, compare=False
@@ -197,18 +194,13 @@ def assemble(config: Config, traits: Traits, networks: Networks) -> Ours:
         "temporal": TemporalRadiance(config.antilag),
         "rule": RuleRadiance(config.antilag, config.kernel_taps),
     }
-    latent_history = RadianceHistory if config.accumulates else LatentHistory
-    histories: dict[str, HistoryModel] = {
-        "state": latent_history(config.latent, config.bptt),
-        "samples": SampleHistory(SAMPLE_ENCODINGS[config.sample_encoding].channels, config.bptt),
-        "nothing": NoHistory(),
-    }
+    history = RadianceHistory if config.accumulates else FeatureHistory
     return Ours(
         config=config,
         traits=traits,
         networks=networks,
         sampler=None if config.ignore_density else networks.sampler,
-        history=histories[config.history_mode],
+        history=history(config.history_mode, history_features(config), config.bptt),
         accumulator=accumulators[config.accumulation],
     )
 

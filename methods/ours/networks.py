@@ -17,7 +17,15 @@ from rlbench.ops.memory_format import to_channels_last
 from rlbench.ops.transfer import log_forward
 from rlbench.ops.unet import UNet
 
-__all__ = ["MISSING", "SAMPLE_ENCODINGS", "Encoder", "Networks", "SampleEncoding", "Sampler"]
+__all__ = [
+    "MISSING",
+    "SAMPLE_ENCODINGS",
+    "Encoder",
+    "Networks",
+    "SampleEncoding",
+    "Sampler",
+    "history_features",
+]
 
 MISSING = -1.0  # marks an empty sample slot, or a state without valid history
 GBUFFER_CHANNELS = 7  # normal 3, albedo 3, depth 1
@@ -64,6 +72,12 @@ SAMPLE_ENCODINGS: Mapping[str, SampleEncoding] = {
     "mean and count": SampleEncoding(4, encode_mean_and_count),
     "none": SampleEncoding(0, encode_nothing),
 }
+
+
+def history_features(config: Config) -> int:
+    """Channels of the features that a variant carries from frame to frame."""
+    samples = SAMPLE_ENCODINGS[config.sample_encoding].channels
+    return {"state": config.latent, "samples": samples, "nothing": 0}[config.history_mode]
 
 
 class Sampler(nn.Module):
@@ -147,8 +161,8 @@ class Networks(nn.Module):
         """Build the networks of `config`, with weights from torch's default generator."""
         super().__init__()
         samples = SAMPLE_ENCODINGS[config.sample_encoding].channels
-        features = {"state": config.latent, "samples": samples, "nothing": 0}[config.history_mode]
-        history = GBUFFER_CHANNELS + features + HISTORY_INPUTS * config.accumulates
+        history = GBUFFER_CHANNELS + history_features(config)
+        history += HISTORY_INPUTS * config.accumulates
         self.sampler_channels = history + config.accumulates  # and the logarithm of the last spp
         self.sampler = None
         if config.sampler:

@@ -6,8 +6,6 @@ import json
 import os
 from collections.abc import Iterable, Sequence
 
-__all__ = ["escape", "facts", "front_matter", "link", "method_path", "table", "unbroken"]
-
 SPECIAL = str.maketrans({c: f"\\{c}" for c in "\\`*_[]<>|"})
 
 

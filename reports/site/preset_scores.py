@@ -10,12 +10,10 @@ from typing import Any
 
 import pandas as pd
 
-from reports.analysis.aggregate import Scores
-from reports.analysis.comparability import check_comparable, split_by_device
-from reports.analysis.ranking import ALL_SCENES
-from reports.viewer.table_data import table_data
-
-__all__ = ["PresetScores", "preset_scores"]
+from reports.analysis.differences import ALL_SCENES
+from reports.analysis.rows import check_comparable, split_by_device
+from reports.analysis.scores import Scores
+from reports.viewer.data import table_data
 
 METRIC = "psnr"
 Key = tuple[str, str, float]  # method, scene, budget

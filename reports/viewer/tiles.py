@@ -17,13 +17,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["LinearScale", "LogScale", "encode"]
-
 DARK = 2.0**-7  # radiance below which the steps of LogScale are nearly equal
 LARGEST = 2.0**16  # larger values are stored as this
 GROUPS = (3, 7, 15)  # differences of neighbours at which the next group begins
 ESCAPE = 255  # in place of a residual that does not fit a byte; it follows at the end, in four
-
 Codes = NDArray[np.int32]
 Floats = NDArray[np.floating[Any]]
 

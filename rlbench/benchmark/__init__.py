@@ -11,7 +11,7 @@ DataFrame; cells that the folder holds already are not measured again::
     from rlbench.render.jobs.preset_clips import rendered
 
     clips = tuple(StoredSource(folder) for folder in rendered(["city"], "mini"))
-    plan = RunPlan(("ours", "ntas"), clips, target_spp=(1.0, 4.0))
+    plan = RunPlan(("ours", "ntas"), clips, spp=(1.0, 4.0))
     folder = Path("results")
     measure(plan, folder, on_cell=lambda cell: print(cell.key))
     rows = read_cells(plan, folder)

@@ -74,7 +74,7 @@ def find_entries(cache: Path) -> list[CacheEntry]:
     entries += [_entry("file hashes", stamps, stamps.glob("*.json"))]
     kernels = sorted(cache.glob("drjit-*"))
     entries += [_entry("kernels", each, _files(each, ("*.bin", "sweep.stamp"))) for each in kernels]
-    named = {"sample times": ("sample_ms.json",), "probes": ("llvm.json", "cuda.json")}
+    named = {"sample times": ("sample_ms.json",), "probes": ("cuda.json",)}
     entries += [_entry(kind, cache, _files(cache, names)) for kind, names in named.items()]
     contact, cycles = cache / "contact", cache / "cycles"
     entries += [_entry("contact sheet", contact, contact.glob("*.npy"))]

@@ -18,7 +18,7 @@ from rlbench.clips.wrapper import ClipWrapper
 from rlbench.family import Traits
 from rlbench.frames import Clip, Frame
 from rlbench.render.jobs.live_pool import open_live_clip, scene_of_folder
-from rlbench.render.mitsuba.llvm import select_variant
+from rlbench.render.mitsuba.variant import select_variant
 from rlbench.system import code_hash, provenance
 
 __all__ = [
@@ -53,10 +53,10 @@ class Source(Protocol):
     def cost_key(self) -> str:
         """What the time to fetch a sample depends on; empty if it is the same for all clips."""
 
-    def pool_spp(self, target_spp: float) -> int:
+    def pool_spp(self, spp: float) -> int:
         """Samples that one pixel can have at this budget."""
 
-    def open(self, traits: Traits, target_spp: float, seed: int, device: torch.device) -> Clip:
+    def open(self, traits: Traits, spp: float, seed: int, device: torch.device) -> Clip:
         """The clip; data that the method cannot use at this budget are not read."""
 
 
@@ -86,13 +86,13 @@ class StoredSource:
         """Empty: fetching stored samples takes as long for every clip."""
         return ""
 
-    def pool_spp(self, target_spp: float) -> int:
+    def pool_spp(self, spp: float) -> int:
         """The stored samples of a pixel, at any budget."""
         return self.header.pool_spp
 
-    def open(self, traits: Traits, target_spp: float, seed: int, device: torch.device) -> Clip:
-        """The clip with the buffers and samples that `traits` can use at `target_spp`."""
-        max_samples = max_samples_needed(traits, target_spp, self.header.pool_spp)
+    def open(self, traits: Traits, spp: float, seed: int, device: torch.device) -> Clip:
+        """The clip with the buffers and samples that `traits` can use at `spp`."""
+        max_samples = max_samples_needed(traits, spp, self.header.pool_spp)
         return open_clip(self.folder, traits.inputs, max_samples, traits.pool, seed, device)
 
 
@@ -111,16 +111,16 @@ class LiveSource(StoredSource):
         """The clip's name: the time to trace a sample differs between scenes."""
         return self.header.name
 
-    def pool_spp(self, target_spp: float) -> int:
+    def pool_spp(self, spp: float) -> int:
         """As many as are stored, so that images equal those of stored samples; above, twice the
         budget, so that densities can still vary.
         """
         stored = self.header.pool_spp
-        return stored if target_spp <= stored else 2 * math.ceil(target_spp)
+        return stored if spp <= stored else 2 * math.ceil(spp)
 
-    def open(self, traits: Traits, target_spp: float, seed: int, device: torch.device) -> Clip:
+    def open(self, traits: Traits, spp: float, seed: int, device: torch.device) -> Clip:
         """The clip with the buffers that `traits` declare; no stored sample is read."""
-        max_samples = max_samples_needed(traits, target_spp, self.pool_spp(target_spp))
+        max_samples = max_samples_needed(traits, spp, self.pool_spp(spp))
         stored = open_clip(self.folder, traits.inputs, max_samples, traits.pool, seed, device)
         return open_live_clip(stored, max_samples)
 
@@ -162,12 +162,12 @@ def samples_at_cap(traits: Traits, pool_spp: int) -> int:
     return pool_spp if traits.max_samples is None else min(pool_spp, traits.max_samples)
 
 
-def max_samples_needed(traits: Traits, target_spp: float, pool_spp: int) -> int:
+def max_samples_needed(traits: Traits, spp: float, pool_spp: int) -> int:
     """Most samples of one pixel that a method can draw from a pool of `pool_spp`.
 
-    Adaptive methods may draw up to their `max_samples` in one pixel, others ceil(target_spp).
+    Adaptive methods may draw up to their `max_samples` in one pixel, others ceil(spp).
     """
     limit = samples_at_cap(traits, pool_spp)
     if traits.adaptive:
         return limit
-    return min(limit, max(1, traits.min_samples, math.ceil(target_spp)))
+    return min(limit, max(1, traits.min_samples, math.ceil(spp)))

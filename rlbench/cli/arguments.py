@@ -282,7 +282,7 @@ def parse_definition(text: str) -> Definition:
 @text_parser
 def parse_weights(text: str) -> WeightsChoice:
     """The file and the label of NAME=FILE, FILE or `random`."""
-    from rlbench.benchmark.row_name import RESERVED_LABELS
+    from rlbench.benchmark.results import RESERVED_LABELS
 
     if text == "random":
         return WeightsChoice(text)

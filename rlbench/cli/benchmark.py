@@ -129,11 +129,10 @@ def run(
     chosen = weights or WeightsChoice()
     from rlbench import registry
     from rlbench.backends import select_backend
-    from rlbench.benchmark.api import check_precision, select_clips, select_device
-    from rlbench.benchmark.preflight import check_run, check_times_alone
+    from rlbench.benchmark.api import check_precision, check_run, select_clips, select_device
+    from rlbench.benchmark.run_outcome import read_outcome
     from rlbench.benchmark.run_plan import RunPlan
-    from rlbench.benchmark.run_table import read_outcome
-    from rlbench.benchmark.runner import measure
+    from rlbench.benchmark.runner import check_times_alone, measure
     from rlbench.cli import console, json_output
     from rlbench.parallel.ray_executor import open_executor
 
@@ -150,7 +149,7 @@ def run(
         plan = RunPlan(
             methods=names,
             clips=select_clips(clips, scene_names, preset, takes, pool, pools, executor),
-            target_spp=spp,
+            spp=spp,
             seeds=seeds,
             device=target,
             cost=cost,

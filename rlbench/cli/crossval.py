@@ -58,10 +58,9 @@ def crossval(
     load_plugins(plugin)
     names = arguments.expand_methods(methods, default="all")  # before torch
     from rlbench.benchmark import crossval as protocol
-    from rlbench.benchmark.api import select_device
-    from rlbench.benchmark.preflight import check_run
+    from rlbench.benchmark.api import check_run, select_device
+    from rlbench.benchmark.run_outcome import read_outcome
     from rlbench.benchmark.run_plan import RunPlan
-    from rlbench.benchmark.run_table import read_outcome
     from rlbench.cli import console
 
     config = training_config(frames, batch, crop, seed, max_grad_norm, bf16, train_spp)

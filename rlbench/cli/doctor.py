@@ -79,12 +79,12 @@ def _check_openvino() -> CheckResult:
 
 
 def _check_path_tracer() -> Iterator[CheckResult]:
-    from rlbench.render.mitsuba import llvm
+    from rlbench.render.mitsuba import variant
 
-    report = llvm.describe_variant().removeprefix("path tracer: ")
+    report = variant.describe_variant().removeprefix("path tracer: ")
     if "scalar" in report.splitlines()[0]:
-        found = report.removesuffix(llvm.INSTALL_HINT).rstrip()
-        yield warning("path tracer", found, llvm.INSTALL_HINT)
+        found = report.removesuffix(variant.INSTALL_HINT).rstrip()
+        yield warning("path tracer", found, variant.INSTALL_HINT)
     else:
         yield passed("path tracer", report)
 

@@ -71,9 +71,9 @@ def evaluate(
     """
     load_plugins(plugin)
     from rlbench.benchmark.api import select_clips
-    from rlbench.benchmark.evaluated_metrics import select_metrics
+    from rlbench.benchmark.cell_images import find_kept_cells, image_pools
     from rlbench.benchmark.evaluation import evaluate as score
-    from rlbench.benchmark.evaluation import find_kept_cells, image_pools
+    from rlbench.benchmark.evaluation import select_metrics
     from rlbench.cli import console
     from rlbench.system.disk import check_writable
 

@@ -73,9 +73,8 @@ def images(
     load_rows(context, plugin, arguments.require_methods(methods))
     names, chosen = arguments.expand_methods(methods), weights or WeightsChoice()  # before torch
     from rlbench import registry
-    from rlbench.benchmark.api import check_precision, select_clips, select_device
+    from rlbench.benchmark.api import check_precision, check_run, select_clips, select_device
     from rlbench.benchmark.frame_images import ImagesError, write_images
-    from rlbench.benchmark.preflight import check_run
     from rlbench.benchmark.run_plan import RunPlan
     from rlbench.cli import console
 
@@ -88,7 +87,7 @@ def images(
     plan = RunPlan(
         methods=names,
         clips=select_clips(clips, scene_names, preset, takes, pool_kinds=pools),
-        target_spp=spp,
+        spp=spp,
         seeds=(seed,),
         device=target,
         weights=chosen.file,

@@ -19,9 +19,8 @@ if TYPE_CHECKING:
 
     from rlbench.benchmark.clip_sources import StoredSource
     from rlbench.benchmark.regression.baseline import Baseline
-    from rlbench.benchmark.regression.comparison import RegressionReport
+    from rlbench.benchmark.regression.comparison import RegressionReport, SpeedResult
     from rlbench.benchmark.regression.crops import Crops
-    from rlbench.benchmark.regression.speed_gate import SpeedResult
 
 __all__ = ["regress", "select_baseline"]
 
@@ -103,9 +102,8 @@ def regress(
       rlbench regress --speed 'ours / oidn <= 1.3'
     """
     load_plugins(plugin)
-    from rlbench.benchmark.regression.baseline import find_baseline, load_baseline
+    from rlbench.benchmark.regression.baseline import find_baseline, load_baseline, only_preset
     from rlbench.benchmark.regression.comparison import compare
-    from rlbench.benchmark.regression.scores import only_preset
     from rlbench.benchmark.results import read
     from rlbench.system.disk import check_writable
 
@@ -125,11 +123,11 @@ def regress(
         comparison = replace(comparison, speed=_measure_speed(gates, device))
     typer.echo(comparison.text())
     if junit:
-        from rlbench.benchmark.regression.junit import write_junit
+        from rlbench.benchmark.regression.pages import write_junit
 
         write_junit(comparison, junit)
     if summary:
-        from rlbench.benchmark.regression.page import append_to_job_summary, write_summary
+        from rlbench.benchmark.regression.pages import append_to_job_summary, write_summary
 
         crops = _crop_worst(comparison, rows, expected.seed, clips, results, before, summary)
         write_summary(comparison, crops, summary)
@@ -153,8 +151,7 @@ def select_baseline(
 
 
 def _update(results: Path, baseline: str, methods: list[str]) -> None:
-    from rlbench.benchmark.regression.baseline import shipped_baselines
-    from rlbench.benchmark.regression.update import update_baseline
+    from rlbench.benchmark.regression.baseline import shipped_baselines, update_baseline
     from rlbench.benchmark.results import read
 
     if not baseline or baseline in shipped_baselines():
@@ -168,7 +165,7 @@ def _update(results: Path, baseline: str, methods: list[str]) -> None:
 
 def _measure_speed(gates: Collection[str], device: str) -> tuple[SpeedResult, ...]:
     from rlbench.benchmark.api import select_device
-    from rlbench.benchmark.regression.speed_gate import measure_gates, parse_gate
+    from rlbench.benchmark.regression.comparison import measure_gates, parse_gate
     from rlbench.cli import console
 
     parsed = [parse_gate(gate) for gate in gates]

@@ -86,8 +86,7 @@ def speed(
     from rlbench import registry
     from rlbench.backends import EAGER, select_backend
     from rlbench.benchmark.api import check_precision, select_device
-    from rlbench.benchmark.speed import Configuration, failed_rows, measure_speed
-    from rlbench.benchmark.speed_page import write_speed
+    from rlbench.benchmark.speed import Configuration, failed_rows, measure_speed, write_speed
     from rlbench.cli import console
     from rlbench.system.disk import check_writable
 

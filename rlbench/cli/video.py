@@ -142,10 +142,9 @@ def video(
       rlbench video results -m ours,ours/A2 --samples --slice 96 --ping-pong
     """
     from rlbench import registry
-    from rlbench.benchmark.display_clips import display_clips
-    from rlbench.benchmark.missing_images import find_all_images
+    from rlbench.benchmark.cell_images import find_all_images
     from rlbench.benchmark.results import read
-    from rlbench.benchmark.shown_clips import find_shown_clips
+    from rlbench.benchmark.shown_clips import display_clips, find_shown_clips
     from rlbench.cli import console
     from rlbench.cli.decide import select_scenes
     from rlbench.cli.view import find_sources, nearest_to_one

@@ -36,7 +36,6 @@ from rlbench.registry.failure import keep_frames
 __all__ = ["ProcessExecutor"]
 
 _work: list[Any] = []  # of this worker process
-_end_process = os._exit  # while a job runs, `os._exit` raises an error
 
 
 @dataclass(frozen=True)
@@ -128,7 +127,7 @@ def _end_with_parent() -> None:
     """End this process when its parent is killed; it would wait for jobs for ever."""
     if (parent := multiprocessing.parent_process()) is not None:
         parent.join()
-        _end_process(1)
+        os._exit(1)
 
 
 def _run(job: Any) -> Any:

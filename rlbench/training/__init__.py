@@ -27,10 +27,10 @@ __all__ = [
 ]
 
 if TYPE_CHECKING:
+    from rlbench.training.checkpoint import Progress
     from rlbench.training.config import TrainingConfig
     from rlbench.training.loop import TrainingResult, train
     from rlbench.training.lr_find import LrRangeResult, find_learning_rate
-    from rlbench.training.progress import Progress
     from rlbench.training.surrogate_gradient import (
         SampleGradient,
         SurrogateGradient,
@@ -44,10 +44,10 @@ else:
     __getattr__, __dir__, _ = lazy_loader.attach(
         __name__,
         submod_attrs={
+            "checkpoint": ["Progress"],
             "config": ["TrainingConfig"],
             "loop": ["TrainingResult", "train"],
             "lr_find": ["LrRangeResult", "find_learning_rate"],
-            "progress": ["Progress"],
             "surrogate_gradient": [
                 "SampleGradient",
                 "SurrogateGradient",

@@ -16,7 +16,7 @@ from pathlib import Path
 from typing import Any
 
 from rlbench.system import paths
-from rlbench.training.progress import Progress
+from rlbench.training.checkpoint import Progress
 from rlbench.training.run_folder import LOG, STATUS
 from rlbench.training.validation import ValidationResult
 

@@ -17,9 +17,9 @@ from rlbench.clips.stored import open_clip
 from rlbench.system.memory import keep_freed_memory
 from rlbench.training import checkpoint, own_clips, validation
 from rlbench.training.batches import Batches, prefetch, sequence_budget
+from rlbench.training.checkpoint import Progress, combine_digests, describe_changes
 from rlbench.training.config import TrainingConfig
 from rlbench.training.logger import TrainingLogger
-from rlbench.training.progress import Progress, combine_digests, describe_changes
 from rlbench.training.run_folder import CHECKPOINT, weights_path
 from rlbench.training.task import TrainingError, TrainingTask
 from rlbench.training.train_state import NonFiniteStepError, TrainState
@@ -163,10 +163,7 @@ def _describe(clips: Sequence[Path], pool: str) -> str:
 
 
 def _check_clips(
-    method: str,
-    batches: Batches,
-    sets: Mapping[str, Sequence[Path]],
-    budgets: Sequence[float],
+    method: str, batches: Batches, sets: Mapping[str, Sequence[Path]], budgets: Sequence[float]
 ) -> str:
     """Which training clips limit the budgets, after a warning; empty if none does.
 

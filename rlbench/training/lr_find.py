@@ -52,11 +52,7 @@ class LrRangeResult:
 
 
 def find_learning_rate(
-    method: str,
-    train_clips: Sequence[Path],
-    out: Path,
-    config: TrainingConfig,
-    device: str = "cpu",
+    method: str, train_clips: Sequence[Path], out: Path, config: TrainingConfig, device: str = "cpu"
 ) -> LrRangeResult:
     """Train a method from its initial weights over `config.frames`, at rates from 1e-6 to 1e-1.
 

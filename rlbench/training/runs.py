@@ -11,10 +11,10 @@ from pathlib import Path
 from rlbench import registry
 from rlbench.system.folder_lock import locked_folder
 from rlbench.training import own_clips
+from rlbench.training.checkpoint import Progress
 from rlbench.training.config import TrainingConfig
 from rlbench.training.dataset import TrainingSplit
 from rlbench.training.loop import check_budgets, train
-from rlbench.training.progress import Progress
 from rlbench.training.run_folder import run_folder
 
 __all__ = ["TrainingRuns", "archive_run"]
@@ -67,10 +67,7 @@ class TrainingRuns:
         Raises FolderInUseError where another process trains in the same folder.
         """
         folder = self.folder(method, held_out_scene)
-        with (
-            locked_folder(folder),
-            self.progress_bar(method, self.config.frames) as on_progress,
-        ):
+        with locked_folder(folder), self.progress_bar(method, self.config.frames) as on_progress:
             result = train(
                 method,
                 split.train,

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from typing import Any, NamedTuple
 
 import torch
@@ -12,12 +12,13 @@ from torch.optim.swa_utils import AveragedModel
 from rlbench.frames import Clip
 from rlbench.training.checkpoint import select_prefix
 from rlbench.training.config import TrainingConfig
-from rlbench.training.ema import warmed_up_ema
 from rlbench.training.task import TrainingError, TrainingTask
 
-__all__ = ["NonFiniteStep", "NonFiniteStepError", "TrainState"]
+__all__ = ["NonFiniteStep", "NonFiniteStepError", "TrainState", "warmed_up_ema"]
 
 MAX_LAYERS_SHOWN = 3  # in an error message
+
+Tensors = tuple[Tensor, ...] | list[Tensor]
 
 
 class NonFiniteStep(NamedTuple):
@@ -178,3 +179,21 @@ def _parameter_groups(task: TrainingTask) -> list[dict[str, Any]]:
         for parameters, name in groups
         if parameters
     ]
+
+
+def warmed_up_ema(decay: float) -> Callable[[Tensors, Tensors, Tensor | int], None]:
+    """An exponential moving average for `AveragedModel`, faster during the first steps.
+
+    In step n, from 1, the decay is min(decay, n / (n + 9)), as in TensorFlow's moving average
+    with `num_updates` n - 1. Integer tensors, such as the counters of batch norm, are copied.
+    """
+
+    @torch.no_grad()
+    def update(average: Tensors, current: Tensors, step: Tensor | int) -> None:
+        n = int(step)
+        if average[0].is_floating_point():  # tensors come grouped by dtype
+            torch._foreach_lerp_(average, current, 1 - min(decay, n / (n + 9)))
+        else:
+            torch._foreach_copy_(average, current)
+
+    return update

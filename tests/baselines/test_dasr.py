@@ -21,10 +21,17 @@ from baselines.dasr.train import (
 )
 from rlbench.clips.in_memory import InMemoryClip
 from rlbench.clips.procedural.clip import procedural_clip
-from rlbench.frames import Frame, GBuffer, Reference, Samples, Size, StoredPool
+from rlbench.frames import Samples, Size
 from rlbench.run import run_clip
 from rlbench.training.loop import TrainingConfig, train
 from rlbench.weights import digest
+from tests.baselines.noise import (
+    counts_of_halves,
+    exponential_noise,
+    half_noisy,
+    random_tensor,
+    read_samples,
+)
 from tests.conftest import write_noise
 
 CPU = torch.device("cpu")
@@ -33,29 +40,8 @@ VARIANTS = pytest.mark.parametrize("variant", ["", "gamma"])
 DENOISER_STAGE, SAMPLER_STAGE = 0.1, 0.4  # fractions of a training
 
 
-def random_tensor(*shape: int, seed: int = 0) -> Tensor:
-    return torch.rand(shape, generator=torch.Generator().manual_seed(seed))
-
-
 def small_clip(frames: int = 1, size: Size = SIZE, seed: int = 0) -> InMemoryClip:
     return procedural_clip(seed, size, frames=frames)
-
-
-def half_noisy(seed: int, side: int = 32) -> InMemoryClip:
-    """A grey image: noise on the left half only, and albedo distinguishes the halves."""
-    left = torch.arange(side).expand(1, 1, side, side) < side // 2
-    reference = torch.full((1, 3, side, side), 0.5)
-    noise = -random_tensor(1, 8, 1, side, side, seed=seed).clamp_min(1e-6).log()  # mean one
-    gbuffer = GBuffer(
-        {
-            "albedo": torch.where(left, 0.8, 0.3).expand(1, 3, side, side),
-            "normal": torch.zeros(1, 3, side, side),
-            "depth": torch.ones(1, 1, side, side),
-        }
-    )
-    pool = StoredPool(torch.where(left[:, None], noise, 1.0) * reference[:, None], (seed,))
-    frame = Frame(0, gbuffer, pool, Reference(reference, reference))
-    return InMemoryClip("half noisy", "half noisy", "", [frame])
 
 
 @pytest.fixture(scope="module")
@@ -209,7 +195,7 @@ def test_the_sampler_learns_where_noise_is(variant: str) -> None:
             loss.backward()
             optimizer.step()
     (result,) = run_clip(task.method, half_noisy(99), 3.0)
-    left, right = result.samples.counts.float().mean((0, 1, 2)).view(2, 16).mean(1).tolist()
+    left, right = counts_of_halves(result.samples.counts)
     assert left > 2 * right  # 3 and 3 before, 5 and 1 at best
 
 
@@ -274,7 +260,7 @@ def test_without_light_or_noise_a_draw_is_the_mean(mean: float, variance: float)
 def test_the_sample_variance_is_measured_around_each_pixels_own_mean() -> None:
     """Exponential noise around m has variance m^2, although neighbours have other means."""
     mean = torch.where(torch.arange(300) % 2 < 1, 0.5, 1.5).expand(1, 1, 3, 300, 300)
-    noise = -random_tensor(1, 8, 3, 300, 300).clamp_min(1e-6).log()
+    noise = exponential_noise(1, 8, 3, 300, 300)
     measured = sample_variance(mean * noise).mean()
     expected = (0.5**2 + 1.5**2) / 2
     # one variance of 8 exponential samples has a deviation of about its own size
@@ -289,7 +275,7 @@ def test_an_infinite_sample_gives_a_finite_variance() -> None:
 
 def test_gamma_passes_one_mean_per_pixel_to_the_method() -> None:
     (frame,) = small_clip()
-    samples = Samples(frame.pool.radiance, torch.full((1, 1, SIZE.h, SIZE.w), 8))
+    samples = read_samples(frame)
     simulated = redraw_as_gamma(samples, torch.full((1, 1, SIZE.h, SIZE.w), 2.0), frame)
     assert simulated.radiance.shape == (1, 1, 3, SIZE.h, SIZE.w)
     assert torch.equal(simulated.mean, simulated.radiance[:, 0])

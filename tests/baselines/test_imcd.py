@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 import torch
 from scipy import ndimage
-from torch import Tensor, nn
+from torch import Tensor
 
 from baselines.accumulate.memory import LightHistory
 from baselines.imcd.method import Config, Imcd, build
@@ -23,49 +23,14 @@ from baselines.imcd.network import (
     apply_affinity_kernels,
 )
 from baselines.imcd.train import losses, sharpness_penalty, training_task
-from rlbench.clips.in_memory import InMemoryClip
-from rlbench.frames import Frame, GBuffer, Reference, Samples, Size, StoredPool
+from rlbench.frames import GBuffer, Samples, Size
 from rlbench.ops.demodulation import demodulation_albedo, filtered_albedo
 from rlbench.run import run_clip
+from tests.baselines.noise import noisy_clip, random_tensor, read_samples
 
 CPU = torch.device("cpu")
 SIZE = Size(1, 16, 16)
 SMALL = KernelSizes(spatial=5, temporal=3)
-
-
-def random_tensor(*shape: int, seed: int = 0) -> Tensor:
-    return torch.rand(shape, generator=torch.Generator().manual_seed(seed))
-
-
-def small_clip(
-    frames: int = 3, size: Size = SIZE, seed: int = 0, textured: bool = True
-) -> InMemoryClip:
-    """Noise around smooth light on a coloured surface, with slow motion."""
-    n, h, w = size
-    albedo, clip_frames = (
-        random_tensor(n, 3, *((h, w) if textured else (1, 1)), seed=3).expand(n, 3, h, w),
-        [],
-    )
-    for i in range(frames):
-        irradiance = random_tensor(n, 3, 1, 1, seed=seed) * torch.linspace(0.2, 2, w).expand(
-            n, 3, h, w
-        )
-        reference = irradiance * albedo
-        noise = -random_tensor(n, 8, 1, h, w, seed=seed + i + 1).clamp_min(1e-6).log()  # mean one
-        buffers = {
-            "albedo": albedo,
-            "normal": nn.functional.normalize(random_tensor(n, 3, h, w, seed=2) - 0.5, dim=1),
-            "depth": 1 + random_tensor(n, 1, h, w, seed=4),
-            "motion": torch.full((n, 2, h, w), 0.5),
-        }
-        pool = StoredPool(reference[:, None] * noise, tuple(range(i, i + n)))
-        clip_frames.append(Frame(i, GBuffer(buffers), pool, Reference(reference, reference)))
-    return InMemoryClip("small", "small", "", clip_frames)
-
-
-def read_samples(frame: Frame, count: int = 8) -> Samples:
-    counts = torch.full_like(frame.gbuffer.depth, count, dtype=torch.int64)
-    return Samples(frame.pool.read(frame.pool.empty(), counts), counts)
 
 
 def kernels(h: int, w: int, sharpness: float | None = None, keep: float = 0.0) -> Kernels:
@@ -203,7 +168,7 @@ def test_empty_slots_have_no_effect() -> None:
 
 
 def test_the_order_of_samples_has_no_effect(method: Imcd) -> None:
-    frame = small_clip().frames[0]
+    frame = noisy_clip().frames[0]
     samples = read_samples(frame)
     order = torch.tensor([3, 1, 7, 0, 2, 6, 5, 4])
     shuffled = replace(samples, radiance=samples.radiance[:, order])
@@ -216,7 +181,7 @@ def test_the_order_of_samples_has_no_effect(method: Imcd) -> None:
 
 
 def test_the_first_frame_ignores_the_state(method: Imcd) -> None:
-    frame = small_clip().frames[0]
+    frame = noisy_clip().frames[0]
     noise = LightHistory(*(random_tensor(1, c, 16, 16, seed=c) for c in (3, 3, 40)), age=0)
     first, second = (
         method.denoise(frame.gbuffer, read_samples(frame), state)[0]
@@ -226,7 +191,7 @@ def test_the_first_frame_ignores_the_state(method: Imcd) -> None:
 
 
 def test_a_repeated_frame_keeps_its_features(method: Imcd) -> None:
-    frame = small_clip().frames[0]
+    frame = noisy_clip().frames[0]
     still = replace(frame.gbuffer, static=True)
     _, first = method.denoise(still, read_samples(frame), method.start(SIZE))
     _, second = method.denoise(still, read_samples(frame), first)
@@ -235,7 +200,7 @@ def test_a_repeated_frame_keeps_its_features(method: Imcd) -> None:
 
 
 def test_a_repeated_frame_is_blended_with_the_first(method: Imcd) -> None:
-    frame = small_clip().frames[0]
+    frame = noisy_clip().frames[0]
     still = replace(frame.gbuffer, static=True)
     _, first = method.denoise(still, read_samples(frame), method.start(SIZE))
     _, second, predicted = method.denoise_with_kernels(still, read_samples(frame), first)
@@ -252,7 +217,7 @@ def test_a_repeated_frame_is_blended_with_the_first(method: Imcd) -> None:
 @pytest.mark.parametrize("age", [0, 1], ids=["without history", "with history"])
 def test_constant_irradiance_stays_constant(method: Imcd, age: int) -> None:
     """Weights sum to one."""
-    gbuffer = small_clip().frames[0].gbuffer
+    gbuffer = noisy_clip().frames[0].gbuffer
     reflectance = demodulation_albedo(filtered_albedo(gbuffer.albedo))
     samples = Samples((0.7 * reflectance)[:, None], torch.ones(1, 1, 16, 16, dtype=torch.int64))
     before = LightHistory(*(torch.full((1, c, 16, 16), 0.7) for c in (3, 3, 40)), age)
@@ -265,7 +230,7 @@ def test_constant_irradiance_stays_constant(method: Imcd, age: int) -> None:
 
 
 def test_a_nonfinite_state_is_invalid_history(method: Imcd) -> None:
-    frame = small_clip().frames[0]
+    frame = noisy_clip().frames[0]
     _, state = method.denoise(frame.gbuffer, read_samples(frame), method.start(SIZE))
     for part in state[:3]:
         part[..., 3, 3] = torch.nan
@@ -276,7 +241,7 @@ def test_a_nonfinite_state_is_invalid_history(method: Imcd) -> None:
 
 def test_emitters_with_black_albedo_keep_their_radiance() -> None:
     """Dividing by 0.01 would make them a hundred times as bright as their neighbours."""
-    frame = small_clip().frames[0]
+    frame = noisy_clip().frames[0]
     black = GBuffer({**frame.gbuffer.buffers, "albedo": torch.zeros(1, 3, 16, 16)})
     method = build("", CPU, "random")
     _, state = method.denoise(black, read_samples(frame), method.start(SIZE))
@@ -296,7 +261,7 @@ def test_the_sharpness_penalty_is_the_mean_of_squares() -> None:
 def test_the_loss_is_smape_of_images_plus_a_quarter_of_the_smape_of_changes(
     trainable: Imcd,
 ) -> None:
-    clip = small_clip(2)
+    clip = noisy_clip(2)
     (loss,) = losses(trainable, clip, 2.0)
     images = [result.image.double().numpy() for result in run_clip(trainable, clip, 2.0)]
     references = [frame.reference.mean.double().numpy() for frame in clip]
@@ -317,6 +282,7 @@ from baselines.imcd.method import build
 from rlbench.frames import Size
 from rlbench.clips.procedural.clip import procedural_clip
 from rlbench.run import run_clip
+from tests.baselines.noise import noisy_clip, random_tensor, read_samples
 
 peak = lambda: resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
 method = build("", torch.device("cpu"), "random")

@@ -26,14 +26,11 @@ from rlbench.frames import Frame, GBuffer, Samples, Size
 from rlbench.ops.demodulation import demodulation_albedo, filtered_albedo
 from rlbench.ops.fireflies import limit_fireflies
 from rlbench.run import run_clip, unroll
+from tests.baselines.noise import random_tensor, read_samples
 
 CPU = torch.device("cpu")
 SIZE = Size(1, 32, 32)
 MU, LAMBDA = 50, 51  # channels of the finest head
-
-
-def random_tensor(*shape: int, seed: int = 0) -> Tensor:
-    return torch.rand(shape, generator=torch.Generator().manual_seed(seed))
 
 
 def small_clip(frames: int = 2, size: Size = SIZE, seed: int = 0) -> InMemoryClip:
@@ -44,8 +41,7 @@ def small_clip(frames: int = 2, size: Size = SIZE, seed: int = 0) -> InMemoryCli
 def first_frame(spp: int = 4) -> tuple[Frame, Samples]:
     """A frame, and the same number of samples in each of its pixels."""
     frame = small_clip(1).frames[0]
-    counts = torch.full_like(frame.gbuffer.depth, spp, dtype=torch.int64)
-    return frame, Samples(frame.pool.read(frame.pool.empty(), counts), counts)
+    return frame, read_samples(frame, spp)
 
 
 def random_weights(h: int, w: int, mu: float = 0.3) -> FilterWeights:

@@ -4,60 +4,24 @@ from __future__ import annotations
 
 import pytest
 import torch
-from torch import Tensor, nn
+from torch import nn
 
 from baselines.ntas.method import Ntas, State, build
 from baselines.ntas.network import Networks
 from baselines.ntas.train import training_task
-from rlbench.clips.in_memory import InMemoryClip
-from rlbench.frames import Frame, GBuffer, Reference, Samples, Size, StoredPool
+from rlbench.frames import Samples, Size
 from rlbench.ops.demodulation import demodulation_albedo, filtered_albedo
 from rlbench.run import run_clip
+from tests.baselines.noise import (
+    counts_of_halves,
+    half_noisy,
+    noisy_clip,
+    random_tensor,
+    read_samples,
+)
 
 CPU = torch.device("cpu")
 SIZE = Size(1, 16, 16)
-
-
-def random_tensor(*shape: int, seed: int = 0) -> Tensor:
-    return torch.rand(shape, generator=torch.Generator().manual_seed(seed))
-
-
-def small_clip(frames: int = 3, size: Size = SIZE, seed: int = 0) -> InMemoryClip:
-    """Noise around a smooth reference, with slow motion."""
-    n, h, w = size
-    clip_frames = []
-    for i in range(frames):
-        reference = random_tensor(n, 3, 1, 1, seed=seed) * torch.linspace(0.2, 2, w).expand(
-            n, 3, h, w
-        )
-        noise = -random_tensor(n, 8, 1, h, w, seed=seed + i + 1).clamp_min(1e-6).log()  # mean one
-        normal = nn.functional.normalize(random_tensor(n, 3, h, w, seed=2) - 0.5, dim=1)
-        gbuffer = GBuffer(
-            {
-                "albedo": random_tensor(n, 3, h, w, seed=3),
-                "normal": normal,
-                "depth": 1 + random_tensor(n, 1, h, w, seed=4),
-                "motion": torch.full((n, 2, h, w), 0.5),
-            }
-        )
-        pool = StoredPool(reference[:, None] * noise, tuple(range(i, i + n)))
-        clip_frames.append(Frame(i, gbuffer, pool, Reference(reference, reference)))
-    return InMemoryClip("small", "small", "", clip_frames)
-
-
-def half_noisy(seed: int) -> InMemoryClip:
-    """A static grey image: noise on the left half only; only albedo distinguishes the halves."""
-    clip_frames = []
-    for frame in small_clip(2, Size(1, 32, 32), seed):
-        left = torch.arange(32).expand(1, 1, 32, 32) < 16
-        reference = torch.full((1, 3, 32, 32), 0.5)
-        noise = -random_tensor(1, 8, 1, 32, 32, seed=100 * seed + frame.index).clamp_min(1e-6).log()
-        radiance = torch.where(left[:, None], noise, 1.0) * reference[:, None]
-        albedo = torch.where(left, 0.8, 0.3).expand(1, 3, 32, 32)
-        gbuffer = GBuffer({**frame.gbuffer.buffers, "albedo": albedo}, static=True)
-        pool = StoredPool(radiance, (frame.index,))
-        clip_frames.append(Frame(frame.index, gbuffer, pool, Reference(reference, reference)))
-    return InMemoryClip("half noisy", "half noisy", "", clip_frames)
 
 
 @pytest.fixture(scope="module")
@@ -71,15 +35,15 @@ def test_extreme_sampler_outputs_still_give_every_pixel_some_density(method: Nta
     nn.init.normal_(
         networks.sampler.unet.dec_conv0.weight, 0, 1e3, torch.Generator().manual_seed(0)
     )
-    frame = next(iter(small_clip()))
+    frame = next(iter(noisy_clip()))
     steep = Ntas(networks)
     density = steep.plan(frame.gbuffer, frame.pool.empty(), steep.start(frame.pool.size))
     assert density.min() > 0
 
 
 def test_the_first_frame_ignores_the_state(method: Ntas) -> None:
-    frame = next(iter(small_clip()))
-    samples = Samples(frame.pool.radiance, torch.full((1, 1, 16, 16), 8))
+    frame = next(iter(noisy_clip()))
+    samples = read_samples(frame)
     zeros, noise = (
         State(light, age=0) for light in (torch.zeros(1, 3, 16, 16), random_tensor(1, 3, 16, 16))
     )
@@ -104,7 +68,7 @@ def test_pixels_with_only_invalid_taps_ignore_the_history() -> None:
 @pytest.mark.parametrize("age", [0, 1], ids=["without history", "with history"])
 def test_constant_irradiance_stays_constant(method: Ntas, age: int) -> None:
     """Kernels sum to one on every level, with and without history."""
-    gbuffer = next(iter(small_clip())).gbuffer
+    gbuffer = next(iter(noisy_clip())).gbuffer
     reflectance = demodulation_albedo(filtered_albedo(gbuffer.albedo))
     samples = Samples((0.7 * reflectance)[:, None], torch.ones(1, 1, 16, 16, dtype=torch.int64))
     image, state = method.denoise(gbuffer, samples, State(torch.full((1, 3, 16, 16), 0.7), age))
@@ -116,8 +80,8 @@ def test_constant_irradiance_stays_constant(method: Ntas, age: int) -> None:
 
 
 def test_a_nonfinite_state_is_invalid_history(method: Ntas) -> None:
-    frame = next(iter(small_clip()))
-    samples = Samples(frame.pool.radiance, torch.full((1, 1, 16, 16), 8))
+    frame = next(iter(noisy_clip()))
+    samples = read_samples(frame)
     light = torch.ones(1, 3, 16, 16)
     light[..., 3, 3] = torch.nan
     image, state = method.denoise(frame.gbuffer, samples, State(light, age=1))
@@ -129,12 +93,12 @@ def test_the_sampler_learns_where_noise_is() -> None:
     task = training_task("", CPU, seed=0)
     optimizer = torch.optim.Adam(task.networks.parameters(), 5e-4)
     for seed in range(15):
-        for loss in task.losses(half_noisy(seed), 3.0):
+        for loss in task.losses(half_noisy(seed, frames=2), 3.0):
             optimizer.zero_grad()
             loss.backward()
             optimizer.step()
-    *_, result = run_clip(task.method, half_noisy(99), 3.0)
-    left, right = result.samples.counts.float().mean((0, 1, 2)).view(2, 16).mean(1).tolist()
+    *_, result = run_clip(task.method, half_noisy(99, frames=2), 3.0)
+    left, right = counts_of_halves(result.samples.counts)
     assert left > 2 * right  # 3 and 3 before, 5 and 1 at best
 
 
@@ -152,5 +116,5 @@ def test_the_output_of_direct_is_between_zero_and_the_largest_half() -> None:
 
 def test_every_colour_of_direct_has_a_gradient_at_the_start() -> None:
     task = training_task("direct", CPU, seed=0)
-    next(task.losses(small_clip(2, Size(2, 32, 32)), 2.0)).backward()
+    next(task.losses(noisy_clip(2, Size(2, 32, 32)), 2.0)).backward()
     assert (task.networks.denoiser.unet.dec_conv0.bias.grad != 0).all()

@@ -22,9 +22,10 @@ from rlbench import registry
 from rlbench.checks.frame_edits import edit_radiance, start_new_shot, to_clip, with_buffers
 from rlbench.checks.tensors import has_graph
 from rlbench.clips.procedural.clip import procedural_clip
-from rlbench.frames import Frame, GBuffer, Samples, Size
+from rlbench.frames import Frame, GBuffer, Size
 from rlbench.ops.reprojection import reproject, reproject_bicubic
 from rlbench.run import run_clip
+from tests.baselines.noise import read_samples
 
 SIZE = Size(1, 64, 64)
 RIVALS = ["ntas", "imcd", "nppd"]
@@ -54,17 +55,12 @@ def switch_light(frame: Frame) -> Frame:
     return edit_radiance(frame, lambda part: part * gain)
 
 
-def read_samples(frame: Frame, spp: int = 2) -> Samples:
-    counts = torch.full_like(frame.gbuffer.depth, spp, dtype=torch.int64)
-    return Samples(frame.pool.read(frame.pool.empty(), counts), counts)
-
-
 def weigh(frames: Sequence[Frame]) -> list[Tensor]:
     """The weight of history in each frame."""
     memory, weights = empty_memory(SIZE, torch.device("cpu")), []
     for frame in frames:
         history = reproject_memory(frame.gbuffer, memory)
-        weight, memory = weigh_history(frame.gbuffer, read_samples(frame), memory, history)
+        weight, memory = weigh_history(frame.gbuffer, read_samples(frame, 2), memory, history)
         memory = replace(memory, image=frame.reference.mean)
         weights.append(weight)
     return weights
@@ -114,11 +110,11 @@ def test_the_weight_before_sampling_is_the_similarity_alone() -> None:
     memory = empty_memory(SIZE, torch.device("cpu"))
     history = reproject_memory(first.gbuffer, memory)
     assert not surface_weight(history).any()
-    _, memory = weigh_history(first.gbuffer, read_samples(first), memory, history)
+    _, memory = weigh_history(first.gbuffer, read_samples(first, 2), memory, history)
     history = reproject_memory(second.gbuffer, memory)
     bright = switch_light(second)
     before = surface_weight(history)
-    after, _ = weigh_history(bright.gbuffer, read_samples(bright), memory, history)
+    after, _ = weigh_history(bright.gbuffer, read_samples(bright, 2), memory, history)
     assert (before == history.similarity.where(history.similarity > 1e-3, 0)).all()
     assert (after <= before).all()
     assert after.sum() < 0.8 * before.sum()
@@ -137,13 +133,13 @@ def test_weighted_light_moves_linearly_and_the_image_in_log_transfer() -> None:
     )
     gbuffer = GBuffer({**second.gbuffer.buffers, "motion": motion})
     memory = empty_memory(SIZE, torch.device("cpu"))
-    samples = read_samples(first)
+    samples = read_samples(first, 2)
     _, memory = weigh_history(
         first.gbuffer, samples, memory, reproject_memory(first.gbuffer, memory)
     )
     memory = replace(memory, image=first.reference.mean)
     state = LightHistory(noisy, denoised, features, 1, memory)
-    moved, weight = state.reproject(gbuffer, read_samples(second))
+    moved, weight = state.reproject(gbuffer, read_samples(second, 2))
     known = weight > 0
     assert known.float().mean() > 0.5
     light, _ = reproject_bicubic(noisy, motion)
@@ -221,7 +217,7 @@ def test_training_reaches_every_parameter_and_leaves_the_memory_without_a_graph(
     assert without == []
     state = task.method.start(Size(2, 64, 64))
     for frame in clip:
-        image, state = task.method.denoise(frame.gbuffer, read_samples(frame), state)
+        image, state = task.method.denoise(frame.gbuffer, read_samples(frame, 2), state)
         assert image.requires_grad
         assert not has_graph(state.memory)
 
@@ -232,14 +228,14 @@ def test_light_is_kept_by_its_weight_where_lambda_is_one(name: str) -> None:
     changed = with_buffers(second, normal=second.gbuffer.normal * 0.8)
     changed = edit_radiance(changed, lambda part: part * 1.1)
     method = registry.load_method(name, weights="random")
-    _, before = method.denoise(first.gbuffer, read_samples(first), method.start(SIZE))
+    _, before = method.denoise(first.gbuffer, read_samples(first, 2), method.start(SIZE))
     history = reproject_memory(changed.gbuffer, before.memory)
-    weight, _ = weigh_history(changed.gbuffer, read_samples(changed), before.memory, history)
+    weight, _ = weigh_history(changed.gbuffer, read_samples(changed, 2), before.memory, history)
     assert 0.2 < weight.mean() < 0.9
 
     unet = method.networks.unet
     bias = unet.last.bias if name.startswith("imcd") else unet.heads[0].bias
     bias.data[-1 if name.startswith("imcd") else LAMBDA] = 80.0
-    _, after = method.denoise(changed.gbuffer, read_samples(changed), before)
+    _, after = method.denoise(changed.gbuffer, read_samples(changed, 2), before)
     expected = torch.lerp(1.1 * before.irradiance, before.irradiance, weight)
     torch.testing.assert_close(after.irradiance, expected, rtol=1e-5, atol=1e-6)

@@ -38,7 +38,7 @@ def kept(folder: Path) -> dict[str, bytes]:
 
 @pytest.fixture
 def plan(clip_folder):
-    return run_plan(clip_folder, target_spp=(1.5,))
+    return run_plan(clip_folder, spp=(1.5,))
 
 
 def test_kept_images_are_those_of_the_method_and_counts_sum_to_the_budget(plan, tmp_path):
@@ -193,7 +193,7 @@ def test_images_have_their_name_only_when_all_are_written(plan, tmp_path, monkey
 
 def test_a_cell_that_cannot_run_has_no_images_and_is_not_run_for_them(tmp_path):
     folder = write_noise(tmp_path / "noise")
-    plan = run_plan(folder, "eaw", target_spp=(0.5,))  # eaw takes no half samples
+    plan = run_plan(folder, "eaw", spp=(0.5,))  # eaw takes no half samples
     assert keep(plan, tmp_path / "r") == RunSummary(skipped=1)
     assert not kept(tmp_path / "r")
     assert keep(plan, tmp_path / "r") == RunSummary(cached=1)

@@ -14,8 +14,13 @@ from metrics.display import encode_display
 from rlbench import registry
 from rlbench.benchmark import results
 from rlbench.benchmark.clip_sources import StoredSource
-from rlbench.benchmark.frame_images import ImagesError, frame_at, method_image, write_images
-from rlbench.benchmark.image_sheet import NONFINITE_COLOUR
+from rlbench.benchmark.frame_images import (
+    NONFINITE_COLOUR,
+    ImagesError,
+    frame_at,
+    method_image,
+    write_images,
+)
 from rlbench.benchmark.run_plan import RunPlan
 from rlbench.benchmark.runner import measure
 from rlbench.clips.exr import read_exr

@@ -9,11 +9,11 @@ import pytest
 import torch
 
 from metrics.metric import Metric
-from rlbench.benchmark import ground_truth_cache, results
+from rlbench.benchmark import results, scoring
 from rlbench.benchmark.clip_sources import StoredSource
-from rlbench.benchmark.ground_truth_cache import GroundTruthCache, make_ground_truth
 from rlbench.benchmark.run_plan import RunPlan
 from rlbench.benchmark.runner import measure
+from rlbench.benchmark.scoring import GroundTruthCache, make_ground_truth
 from rlbench.clips.in_memory import InMemoryClip
 from rlbench.clips.procedural.clip import procedural_clip
 from rlbench.clips.procedural.folder import write_procedural_clip
@@ -49,7 +49,7 @@ def test_another_clip_has_its_own_ground_truth(clip):
 
 
 def test_of_a_large_clip_one_frame_is_kept(clip, monkeypatch):
-    monkeypatch.setattr(ground_truth_cache, "MAX_PIXELS", 3 * 16 * 16 - 1)
+    monkeypatch.setattr(scoring, "MAX_PIXELS", 3 * 16 * 16 - 1)
     opened = GroundTruthCache(Metric).open(clip)
     frames = list(opened)
     assert (opened.ground_truth(frames[2]).half_a == frames[2].reference.half_a).all()

@@ -17,10 +17,9 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 
+from rlbench.benchmark.cell_key import CellId, CellKey
 from rlbench.benchmark.results import (
     COLUMNS,
-    CellId,
-    CellKey,
     Row,
     TableError,
     cells,
@@ -170,8 +169,9 @@ def test_a_parquet_file_of_other_content_is_no_cell_and_stays(tmp_path):
 def test_a_run_killed_while_writing_leaves_no_cell(tmp_path):
     kill = (
         "import os, sys; from pathlib import Path; from rlbench.benchmark import results;"
+        "from rlbench.benchmark.cell_key import CellId, CellKey;"
         "os.replace = lambda *a: os._exit(9);"
-        "cell = results.CellId(results.CellKey('m', 'c', 1.0, 0, 'cpu'), 'a');"
+        "cell = CellId(CellKey('m', 'c', 1.0, 0, 'cpu'), 'a');"
         "rows = [results.Row('r', 'm', 'c', 's', 1, 1, 0, 'psnr', 1.0)];"
         "results.write_cell(Path(sys.argv[1]), cell, rows)"
     )

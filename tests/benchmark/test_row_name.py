@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from rlbench.benchmark.row_name import RowName, RowOptions
+from rlbench.benchmark.results import RowName, RowOptions
 
 
 @pytest.mark.parametrize(

@@ -10,12 +10,12 @@ import torch
 
 from metrics.metric import Metric
 from rlbench import registry
-from rlbench.benchmark.ground_truth_cache import make_ground_truth
 from rlbench.benchmark.results import COUNT_PREFIX, NOISE_CEILING, Row
 from rlbench.benchmark.scoring import (
     add_counts,
     compare_frame,
     count_rows,
+    make_ground_truth,
     refusal_row,
     score_frame,
 )

@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 import torch
 
-from rlbench.benchmark.cell_images import list_images
-from rlbench.benchmark.evaluation import EvaluationError
+from rlbench.benchmark.cell_images import KeptImagesError, list_images
 from rlbench.benchmark.runner import measure
 from rlbench.benchmark.shown_clips import find_shown_clips
 from rlbench.clips.stored import open_clip
@@ -17,7 +16,7 @@ from tests.conftest import write_noise
 
 @pytest.fixture
 def plan(clip_folder, tmp_path):
-    plan = run_plan(clip_folder, target_spp=(1.0, 2.0), seeds=(0, 1))
+    plan = run_plan(clip_folder, spp=(1.0, 2.0), seeds=(0, 1))
     measure(plan, tmp_path / "r", keep_images=True)
     return plan
 
@@ -43,7 +42,7 @@ def test_images_reference_and_buffers_are_those_on_disk(plan, tmp_path):
 def test_a_clip_that_has_changed_is_an_error(plan, tmp_path):
     write_noise(plan.clips[0].folder, exposure=2.0)
     changed = run_plan(plan.clips[0].folder).clips
-    with pytest.raises(EvaluationError, match="show a clip with digest"):
+    with pytest.raises(KeptImagesError, match="show a clip with digest"):
         find_shown_clips(tmp_path / "r", changed, ["mean"], [1.0])
 
 

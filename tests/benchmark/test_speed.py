@@ -11,9 +11,14 @@ import torch
 from typer.testing import CliRunner
 
 from rlbench import registry
-from rlbench.benchmark.speed import COLUMNS, Configuration, measure_speed
-from rlbench.benchmark.speed_page import speed_page, write_speed
-from rlbench.benchmark.work import count_multiply_adds
+from rlbench.benchmark.speed import (
+    COLUMNS,
+    Configuration,
+    count_multiply_adds,
+    measure_speed,
+    speed_page,
+    write_speed,
+)
 from rlbench.cli.app import app
 from rlbench.ops.unet_widths import BASE_WIDTHS
 from rlbench.weights import read_card

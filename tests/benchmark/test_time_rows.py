@@ -7,11 +7,10 @@ from dataclasses import replace
 
 import pytest
 
-from rlbench.benchmark.cost import Cost, Scatter
-from rlbench.benchmark.cost_profile import ProfileTime
+from rlbench.benchmark.cost import Cost, ProfileTime, Scatter
 from rlbench.benchmark.latency import PartTime, Timing
 from rlbench.benchmark.results import Row
-from rlbench.benchmark.time_rows import drop_times, failed_time_rows, timing_rows
+from rlbench.benchmark.timing import drop_times, failed_time_rows, timing_rows
 
 CPU = "EPYC, 2 threads"
 TEMPLATE = Row("r", "mean", "noise", "noise", 2.0, 1.5, -1, "", math.nan, device=CPU)

@@ -6,13 +6,10 @@ import pytest
 import torch
 
 from rlbench.benchmark import latency
-from rlbench.benchmark.cell_loader import CellLoader
 from rlbench.benchmark.clip_sources import StoredSource
 from rlbench.benchmark.cost import Scatter
-from rlbench.benchmark.resolve import resolve_cells
-from rlbench.benchmark.run_plan import RunPlan
-from rlbench.benchmark.scatter import ScatterMeter
-from rlbench.benchmark.timing_cache import TimingCache
+from rlbench.benchmark.run_plan import CellLoader, RunPlan, list_cells
+from rlbench.benchmark.timing import ScatterMeter, TimingCache
 from rlbench.parallel.executor import LOCAL, Resources
 from tests.conftest import write_noise
 
@@ -39,7 +36,7 @@ def measured(monkeypatch) -> list[str]:
 def factors(tmp_path, clips) -> dict[str, Scatter]:
     sources = tuple(StoredSource(write_noise(tmp_path / name, frames=1)) for name in clips)
     plan = RunPlan(("accumulate/contrast",), sources, (1.0,), repeats=2, seeds=(0, 1))
-    cells, times = resolve_cells(plan), TimingCache(CellLoader(plan), None)
+    cells, times = list_cells(plan), TimingCache(CellLoader(plan), None)
     times.measure_all(cells, LOCAL, Resources(torch.get_num_threads(), 0), lambda *_: None)
     return {cell.header.name: times.cost(cell).scatter for cell in cells}
 

@@ -18,7 +18,7 @@ FAULTS = {  # what replaces a line of the plugin, and the reason in its rows
     "error in FAMILY": ('FAMILY = Family(\n    "bad"', "FAMILY = Family(\n    1 / 0", "division"),
     "exit in build": ("return Scaled()", "raise SystemExit(3)", "plugin code called sys.exit(3)"),
     "error in plan": (UNIFORM, "raise KeyError('no luck')", "KeyError: 'no luck'"),
-    "exit in denoise": (IMAGE, "import os; os._exit(3)", "plugin code called os._exit(3)"),
+    "exit in denoise": (IMAGE, "raise SystemExit(3)", "plugin code called sys.exit(3)"),
 }
 COMMANDS = {  # words, and what the output has once the rows of `mean` are done
     "run": (

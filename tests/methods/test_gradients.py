@@ -16,6 +16,7 @@ from methods.ours.experiments.gradients import section
 from methods.ours.experiments.gradients.estimators import (
     ESTIMATORS,
     Estimator,
+    GradientStatistics,
     ScoreFunction,
     measure,
 )
@@ -31,9 +32,12 @@ from methods.ours.experiments.gradients.exact_gradient import (
     round_systematically,
     true_gradient,
 )
-from methods.ours.experiments.gradients.measure import gradient_row, write_tables
-from methods.ours.experiments.gradients.ratio_saturation import adam_step, clipped_shares
-from methods.ours.experiments.gradients.statistics import GradientStatistics
+from methods.ours.experiments.gradients.measure import (
+    adam_step,
+    clipped_shares,
+    gradient_row,
+    write_tables,
+)
 from methods.ours.experiments.toy_problem import Direct, ToyProblem
 from methods.ours.policy import SamplerLearner
 from methods.ours.policy.appo import AppoSettings

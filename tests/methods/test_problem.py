@@ -15,13 +15,7 @@ from methods.ours.experiments.retrain_sampler import SamplerTask
 from methods.ours.method import Ours
 from methods.ours.policy import LEARNERS, gamma_gradient_per_sample, make_learner
 from methods.ours.policy.sample_gradients import kuznetsov_gradient_per_sample
-from methods.ours.problem import (
-    EpisodeProblem,
-    FrameProblem,
-    carry_back,
-    discounted_return,
-    reward,
-)
+from methods.ours.problem import EpisodeProblem, FrameProblem, carry_back, discounted_return, reward
 from methods.ours.train import training_task
 from rlbench.clips.in_memory import InMemoryClip
 from rlbench.clips.procedural.clip import procedural_clip

@@ -13,8 +13,8 @@ from rlbench.frames import Samples
 from rlbench.render.jobs.live_pool import LivePool
 from rlbench.render.jobs.render_clips import scene_of_clip
 from rlbench.render.mitsuba.gbuffer import render_gbuffer
-from rlbench.render.mitsuba.llvm import select_variant
 from rlbench.render.mitsuba.open_tracer import open_tracer
+from rlbench.render.mitsuba.variant import select_variant
 
 SIDE = 720
 SMALL = 96  # for tracing without LLVM

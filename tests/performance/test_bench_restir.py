@@ -7,8 +7,8 @@ import pytest
 from baselines.restir import POOL
 from rlbench.render.jobs.extra_pools import open_streams
 from rlbench.render.jobs.render_clips import scene_of_clip
-from rlbench.render.mitsuba.llvm import select_variant
 from rlbench.render.mitsuba.open_tracer import open_tracer
+from rlbench.render.mitsuba.variant import select_variant
 
 SIDE = 192
 COUNT = 4  # samples per pixel

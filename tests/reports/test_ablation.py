@@ -11,8 +11,8 @@ import pytest
 
 from reports import ablation
 from reports.analysis import variant_differences
-from reports.analysis.aggregate import Scores
-from reports.analysis.comparability import ReportError, split_by_device
+from reports.analysis.rows import ReportError, split_by_device
+from reports.analysis.scores import Scores
 from rlbench.benchmark.results import MissingRowsError, to_dataframe
 from tests.reports.conftest import SCENES, rows
 

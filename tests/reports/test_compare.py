@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from reports.analysis.comparability import ReportError
+from reports.analysis.rows import ReportError
 from reports.compare import compare, comparison_text
 from rlbench.benchmark.results import to_dataframe
 from tests.reports.conftest import SCENES, rows

@@ -9,8 +9,8 @@ import msgspec
 import numpy as np
 import pytest
 
-from reports.analysis.comparability import ReportError
-from reports.analysis.winner import NOTHING, find_switches, find_winners
+from reports.analysis.curves import NOTHING, find_switches, find_winners
+from reports.analysis.rows import ReportError
 from reports.decide import decide, decision_text
 from tests.reports.formula_results import THREE, Formula, curve, table
 

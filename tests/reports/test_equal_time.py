@@ -9,11 +9,16 @@ import pandas as pd
 import pytest
 
 from reports import equal_time
-from reports.analysis.aggregate import Scores
-from reports.analysis.crossovers import crossovers
 from reports.analysis.curves import curves_of
-from reports.analysis.equal_error import at_equal_error, spp_to_reach
-from reports.analysis.equal_time import at_deadlines, nice_deadlines, with_half_the_samples
+from reports.analysis.equal_time import (
+    at_deadlines,
+    at_equal_error,
+    crossovers,
+    nice_deadlines,
+    spp_to_reach,
+    with_half_the_samples,
+)
+from reports.analysis.scores import Scores
 from rlbench.benchmark.results import MissingRowsError
 from tests.reports.formula_results import THREE, Formula, curve, table
 

@@ -9,8 +9,8 @@ import pytest
 from matplotlib.image import imread
 
 from reports import frame_time
-from reports.analysis.aggregate import FRAME_PARTS, Scores
-from reports.layout.frame_bars import MAX_PANELS, PARTS, draw_frame_bars
+from reports.analysis.scores import FRAME_PARTS, Scores
+from reports.frame_time import MAX_PANELS, PARTS, draw_frame_bars
 from rlbench.benchmark.results import MissingRowsError, to_dataframe
 from tests.reports.conftest import SAMPLE_MS, rows
 

@@ -11,10 +11,10 @@ import pytest
 from matplotlib.image import imread
 
 from reports import pareto
-from reports.analysis.aggregate import Scores
-from reports.analysis.comparability import ReportError
+from reports.analysis.rows import ReportError
+from reports.analysis.scores import Scores
 from reports.layout import style
-from reports.layout.pareto_panels import MAX_PANELS, OVERALL, WINDOW_DB, Labels, draw_pareto
+from reports.pareto import MAX_PANELS, OVERALL, WINDOW_DB, Labels, draw_pareto
 from rlbench.benchmark.results import to_dataframe
 from tests.reports.conftest import METHODS, SAMPLE_MS, SCENES, rows
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from reports.analysis.method_names import family_of
+from reports.analysis.rows import family_of
 from reports.published import published
 from rlbench import registry
 from rlbench.benchmark import cost

@@ -11,7 +11,7 @@ import pytest
 from matplotlib.colors import same_color
 
 from reports import published_pareto
-from reports.analysis.aggregate import Scores
+from reports.analysis.scores import Scores
 from reports.layout import paired_panels, style
 from reports.published import published
 from rlbench.benchmark.results import MissingRowsError, to_dataframe

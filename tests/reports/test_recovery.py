@@ -11,10 +11,16 @@ import pytest
 from matplotlib.image import imread
 
 from reports import recovery
-from reports.analysis.aggregate import Scores, metrics_with_values
-from reports.analysis.recovery import find_events, find_spans, measure_recoveries, measure_span
+from reports.analysis.scores import Scores, metrics_with_values
 from reports.layout import style
-from reports.layout.event_panels import MAX_PANELS, draw_event_panels
+from reports.recovery import (
+    MAX_PANELS,
+    draw_event_panels,
+    find_events,
+    find_spans,
+    measure_recoveries,
+    measure_span,
+)
 from rlbench.benchmark.results import EVENT_PREFIX, MissingRowsError, Row, to_dataframe
 
 FRAMES, CUT, LIGHT = 20, 10, 15

@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from reports import stress_matrix
-from reports.layout.verdict_grid import FILLS, INK, MARKS, Cell, draw_grid
+from reports.stress_matrix import FILLS, INK, MARKS, Cell, draw_grid
 from rlbench.checks.stress.run import VERDICT_NAMES
 
 ROWS = [  # method, section, test, verdict, figure, unit, good, fair, found, remedy

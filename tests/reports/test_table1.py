@@ -9,7 +9,7 @@ import pandas as pd
 import pytest
 
 from reports import table1
-from reports.analysis.aggregate import Scores
+from reports.analysis.scores import Scores
 from reports.published import published
 from rlbench.benchmark.results import MissingRowsError, to_dataframe
 from tests.reports.conftest import METHODS, SCENES, as_published, rows

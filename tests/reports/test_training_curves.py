@@ -22,13 +22,6 @@ def test_published_weights_have_no_curve(tmp_path: Path) -> None:
     assert read_cards([card]) == []
 
 
-def test_a_card_under_former_names_is_read(tmp_path: Path) -> None:
-    card = tmp_path / "old.toml"
-    card.write_text('name = "old"\ncurve = [[1000, 20.0], [2000, 21.5]]\n')
-    (training,) = read_cards([card])
-    assert (training.crops, training.psnr) == ((1000, 2000), (20.0, 21.5))
-
-
 def test_names_stand_in_the_order_of_the_curves_ends() -> None:
     figure = draw_trainings(read_cards(shipped_cards()))
     for axes in figure.axes:

@@ -12,8 +12,8 @@ from scipy import stats
 
 from reports import training_seeds
 from reports.analysis import training_differences
-from reports.analysis.aggregate import Scores, mean_over_scenes
-from reports.analysis.comparability import ReportError
+from reports.analysis.rows import ReportError
+from reports.analysis.scores import Scores, mean_over_scenes
 from rlbench.benchmark.results import MissingRowsError, to_dataframe
 from tests.reports.conftest import SCENES, rows
 

@@ -8,9 +8,9 @@ import matplotlib as mpl
 import pytest
 
 from reports import ablation, pareto, published_pareto, summary, table1
-from reports.analysis.aggregate import Scores, metrics_with_values
-from reports.analysis.time_notes import device_mixes, unreliable_times
-from reports.layout.pareto_panels import OVERALL, PALE, UNRELIABLE, draw_pareto
+from reports.analysis.rows import device_mixes, unreliable_times
+from reports.analysis.scores import Scores, metrics_with_values
+from reports.pareto import OVERALL, PALE, UNRELIABLE, draw_pareto
 from rlbench.benchmark.results import to_dataframe
 from tests.reports.conftest import rows
 

@@ -8,7 +8,7 @@ import pandas as pd
 import pytest
 
 from reports import variance
-from reports.analysis.aggregate import Scores
+from reports.analysis.scores import Scores
 from rlbench.benchmark.results import MissingRowsError, to_dataframe
 from tests.reports.conftest import rows
 

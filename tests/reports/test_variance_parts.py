@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from reports.analysis.variance_parts import variance_parts
+from reports.variance import variance_parts
 
 FACTORS = ("scene", "training", "order")
 TRUTH = {  # standard deviations, dB

@@ -9,10 +9,10 @@ from matplotlib.colors import to_rgb
 from matplotlib.image import imread
 
 from reports import winners
-from reports.analysis.aggregate import Scores
 from reports.analysis.curves import curves_of
+from reports.analysis.scores import Scores
 from reports.layout import style
-from reports.layout.winner_map import MapLabels, draw_winner_map, method_colours
+from reports.winners import MapLabels, draw_winner_map, method_colours
 from rlbench.benchmark.results import MissingRowsError
 from tests.reports.formula_results import THREE, Formula, table
 

@@ -138,7 +138,7 @@ import sys
 from pathlib import Path
 from rlbench.render.jobs.job import Job
 from rlbench.render.jobs.render_clips import render_clip
-from rlbench.render.mitsuba.llvm import select_variant
+from rlbench.render.mitsuba.variant import select_variant
 from rlbench.render.presets import Preset
 from tests.render.small_scenes import room
 select_variant()

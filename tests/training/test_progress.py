@@ -8,7 +8,7 @@ import pytest
 
 from rlbench.cli import console
 from rlbench.training import Progress
-from rlbench.training.progress import combine_digests, describe_changes
+from rlbench.training.checkpoint import combine_digests, describe_changes
 
 
 def test_the_progress_bar_shows_loss_validation_and_speed():

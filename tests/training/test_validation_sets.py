@@ -9,7 +9,7 @@ import pytest
 from rlbench.errors import OptionError
 from rlbench.render.jobs import render_clips
 from rlbench.training import dataset
-from rlbench.training.validation_sets import select_validation, split_off_validation
+from rlbench.training.dataset import select_validation, split_off_validation
 from tests.conftest import write_noise
 
 

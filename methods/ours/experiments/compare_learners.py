@@ -21,9 +21,10 @@ from methods.ours import LATENT
 from methods.ours.experiments.toy_evaluation import (
     TABLE,
     Evaluation,
-    LearnerTable,
     ToyEnv,
     Training,
+    read_scores,
+    write_csv,
 )
 from methods.ours.experiments.toy_problem import CHANNELS, MODES, Mode, ToyProblem, toy_frames
 from methods.ours.networks import Sampler
@@ -50,11 +51,8 @@ SEED_STRIDE = 10**9  # between the seeds of sampler, critic and actions: separat
 OnScore = Callable[[int, float, float], None]  # frames, seconds of CPU, score
 
 
-class TrueGradient:
+class TrueGradient(SamplerLearner):
     """The upper bound: the gradient of the expected error, which is unknown in practice."""
-
-    min_samples = 0
-    network = None
 
     def loss(self, problem: AllocationProblem, generator: torch.Generator) -> torch.Tensor:
         """The exact expected error of the relaxed counts."""
@@ -159,24 +157,26 @@ def compare(
 
     Raises ValueError if the table has trainings of another length, or on frames of another size.
     """
-    table = LearnerTable.read(file, frames, side)
+    scores = read_scores(file, frames, side)
     trainings = [Training(name, mode, seed) for seed, mode, name in product(seeds, modes, names)]
-    missing = [training for training in trainings if training not in table.trainings]
+    missing = [training for training in trainings if training not in scores]
     needed = {training.mode for training in missing}
     evaluations = {mode: Evaluation.of_mode(MODES[mode], side=side) for mode in needed}
     with Progress() as progress:
         bar = progress.add_task("trainings", total=len(missing) * frames)
         for number, training in enumerate(missing):
-            start = number * frames
+            start, rows = number * frames, scores.setdefault(training, [])
             progress.update(bar, description=str(training), completed=start)
 
             def on_score(done: int, seconds: float, score: float) -> None:
-                table.add(training, done, seconds, score)  # noqa: B023
+                row = {**training._asdict(), "side": side, "of": frames, "frames": done}  # noqa: B023
+                row |= {"seconds": f"{seconds:.1f}", "score": f"{score:.4f}"}
+                rows.append({key: str(value) for key, value in row.items()})  # noqa: B023
                 progress.update(bar, completed=start + done)  # noqa: B023
 
             train = train_by_learner if training.learner in TORCH else train_by_rllib
             train(training.learner, evaluations[training.mode], training.seed, frames, on_score)
-            table.write()
+            write_csv(file, [row for training_rows in scores.values() for row in training_rows])
 
 
 def main() -> None:
@@ -220,10 +220,7 @@ def _parser() -> argparse.ArgumentParser:
         "--frames", type=int, default=1600, help="frames of each training (default: 1600)"
     )
     parser.add_argument(
-        "--side",
-        type=int,
-        default=32,
-        help="side of a frame, a multiple of 8 pixels (default: 32)",
+        "--side", type=int, default=32, help="side of a frame, a multiple of 8 pixels (default: 32)"
     )
     parser.add_argument(
         "--seeds", default="0,1,2", help="seeds of weights, scenes and actions (default: 0,1,2)"

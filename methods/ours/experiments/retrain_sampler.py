@@ -21,13 +21,7 @@ from methods.ours import FAMILY, VARIANTS, Config
 from methods.ours.initialization import wire_contrast
 from methods.ours.method import CARDS, Ours, assemble
 from methods.ours.networks import Networks, Sampler
-from methods.ours.policy import (
-    LEARNERS,
-    RLLIB_APPO,
-    BlockPolicyGradient,
-    appo,
-    make_learner,
-)
+from methods.ours.policy import LEARNERS, RLLIB_APPO, BlockPolicyGradient, appo, make_learner
 from methods.ours.problem import SamplingEnv
 from rlbench.ops.init import kaiming_init
 from rlbench.system import paths

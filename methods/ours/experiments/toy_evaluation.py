@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import csv
-from collections.abc import Callable
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import NamedTuple
@@ -26,14 +26,23 @@ from rlbench.sampling import allocate_counts
 from rlbench.system import paths
 from rlbench.training.surrogate_gradient import relaxed_counts
 
-__all__ = ["TABLE", "Evaluation", "LearnerTable", "ToyEnv", "Training", "best_counts"]
+__all__ = [
+    "TABLE",
+    "Evaluation",
+    "ToyEnv",
+    "Training",
+    "best_counts",
+    "read_scores",
+    "write_csv",
+]
 
 TEST_SEED = 10**6  # of the scenes that samplers are scored on
 FRAME_STRIDE = 7  # frames from one scored frame to the next
 DESCENT_STEPS, DESCENT_RATE = 100, 0.1  # of Adam, where no optimum is known in closed form
 MIN_START = 0.02  # least density, as a share of the largest, where the descent starts from sigma
 TABLE = "known_optimum.csv"
-COLUMNS = ("learner", "mode", "seed", "side", "of", "frames", "seconds", "score")  # of: in all
+
+Row = Mapping[str, str]
 
 
 @dataclass(frozen=True)
@@ -152,47 +161,28 @@ class Training(NamedTuple):
         return f"{self.learner}, {self.mode}, seed {self.seed}"
 
 
-@dataclass
-class LearnerTable:
-    """Scores of trainings of one length, on frames of one size."""
+def read_scores(file: Path, frames: int, side: int) -> dict[Training, list[Row]]:
+    """The rows of each training in a table; empty if there is no file.
 
-    file: Path
-    frames: int
-    side: int
-    rows: list[dict[str, str]]
+    Raises ValueError if it has trainings of another length, or on frames of another size.
+    """
+    scores: dict[Training, list[Row]] = {}
+    rows = list(csv.DictReader(file.read_text().splitlines())) if file.exists() else []
+    if other := {(row["side"], row["of"]) for row in rows} - {(str(side), str(frames))}:
+        found = " and ".join(f"--frames {of} --side {pixels}" for pixels, of in sorted(other))
+        raise ValueError(
+            f"--frames {frames} --side {side}: {file} has trainings by {found}, which cannot be "
+            "compared with these. Choose another --out"
+        )
+    for row in rows:
+        training = Training(row["learner"], row["mode"], int(row["seed"]))
+        scores.setdefault(training, []).append(row)
+    return scores
 
-    @classmethod
-    def read(cls, file: Path, frames: int, side: int) -> LearnerTable:
-        """The table in a file, empty if there is none.
 
-        Raises ValueError if it has trainings of another length, or on frames of another size.
-        """
-        rows: list[dict[str, str]] = []
-        if file.exists():
-            with file.open(newline="") as content:
-                rows = list(csv.DictReader(content))
-        if other := {(row["side"], row["of"]) for row in rows} - {(str(side), str(frames))}:
-            found = " and ".join(f"--frames {of} --side {pixels}" for pixels, of in sorted(other))
-            raise ValueError(
-                f"--frames {frames} --side {side}: {file} has trainings by {found}, which cannot "
-                "be compared with these. Choose another --out"
-            )
-        return cls(file, frames, side, rows)
-
-    @property
-    def trainings(self) -> set[Training]:
-        """Trainings with scores in the table."""
-        return {Training(row["learner"], row["mode"], int(row["seed"])) for row in self.rows}
-
-    def add(self, training: Training, frames: int, seconds: float, score: float) -> None:
-        """Append one score."""
-        settings = (*training, self.side, self.frames)
-        values = (*settings, frames, f"{seconds:.1f}", f"{score:.4f}")
-        self.rows.append(dict(zip(COLUMNS, map(str, values), strict=True)))
-
-    def write(self) -> None:
-        """Replace the file."""
-        with paths.atomic_write(self.file) as part, part.open("w", newline="") as out:
-            writer = csv.DictWriter(out, COLUMNS, lineterminator="\n")
-            writer.writeheader()
-            writer.writerows(self.rows)
+def write_csv(file: Path, rows: Sequence[Row]) -> None:
+    """Replace a file by a table with the keys of the first row as its header."""
+    with paths.atomic_write(file) as part, part.open("w", newline="") as out:
+        writer = csv.DictWriter(out, list(rows[0]), lineterminator="\n")
+        writer.writeheader()
+        writer.writerows(rows)

@@ -5,13 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 
 from methods.ours.policy.critic import CriticLearner, make_critic_learner
-from methods.ours.policy.learner import (
-    AllocationProblem,
-    Env,
-    Rollout,
-    SamplerLearner,
-    StepResult,
-)
+from methods.ours.policy.learner import AllocationProblem, Env, Rollout, SamplerLearner, StepResult
 from methods.ours.policy.reinforce import BlockPolicyGradient, BlockReinforce, RolloutBatch
 from methods.ours.policy.sample_gradients import (
     CombinedLearner,

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import importlib.util
+import logging
 import os
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -15,6 +16,7 @@ from rlbench.parallel.ray_executor import QUIET_ENVIRONMENT
 
 __all__ = ["AppoSettings", "MissingPackageError", "train"]
 
+MODULE = "default_policy"  # of RLlib's learner
 NEEDED = ("ray", "gymnasium", "tree")  # tree: dm_tree, which RLlib needs
 
 
@@ -64,6 +66,33 @@ def train(
     os.environ.update(
         {name: os.environ.get(name, value) for name, value in QUIET_ENVIRONMENT.items()}
     )
-    from methods.ours.policy import rllib
+    import ray
 
-    return rllib.train(make_env, make_sampler, frames, settings, seed, report_every, on_progress)
+    from methods.ours.policy.rllib import algorithm_config
+
+    starts_ray = not ray.is_initialized()
+    if starts_ray:
+        ray.init(
+            num_cpus=1 + settings.env_runners,
+            include_dashboard=False,
+            log_to_driver=False,
+            logging_level=logging.ERROR,
+            object_store_memory=256 * 2**20,
+        )
+    algorithm = None
+    try:
+        algorithm = algorithm_config(make_env, make_sampler, frames, settings, seed).build_algo()
+        module, done, reported = algorithm.learner_group._learner.module[MODULE], 0, 0
+        while done < frames:
+            result = algorithm.train()
+            done = int(result["env_runners"]["num_env_steps_sampled_lifetime"])
+            if done // report_every > reported // report_every:
+                reported = done
+                on_progress(done, module.unwrapped().sampler)
+        trained: nn.Module = module.unwrapped().sampler
+        return trained
+    finally:
+        if algorithm is not None:
+            algorithm.stop()
+        if starts_ray:
+            ray.shutdown()

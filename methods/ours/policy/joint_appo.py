@@ -14,14 +14,7 @@ from torch import Tensor, nn
 from rlbench.ops.init import kaiming_init
 from rlbench.ops.padding import crop, pad
 
-__all__ = [
-    "JointAppo",
-    "JointAppoNetwork",
-    "Trajectory",
-    "joint_ratio",
-    "pixel_ratios",
-    "vtrace",
-]
+__all__ = ["JointAppo", "JointAppoNetwork", "Trajectory", "joint_ratio", "pixel_ratios", "vtrace"]
 
 MULTIPLE = 16  # pixels; observations are padded to a multiple of this
 VALUE_SCALE = 10.0  # the highest reward

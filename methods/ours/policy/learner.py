@@ -68,13 +68,9 @@ class AllocationProblem(Protocol):
 class SamplerLearner(Protocol):
     """A way to train a sampler. It may be stateful: a critic has a replay buffer."""
 
-    @property
-    def min_samples(self) -> int:
-        """Fewest samples of a pixel that this learner can differentiate at."""
-
-    @property
-    def network(self) -> nn.Module | None:
-        """A network trained beside the sampler, by the same optimiser and loss; None without."""
+    min_samples: int = 0  # fewest samples of a pixel that it can differentiate at
+    # trained beside the sampler, by the same optimiser and loss
+    network: nn.Module | None = None
 
     def loss(self, problem: AllocationProblem, generator: torch.Generator) -> Float[Tensor, ""]:
         """A scalar whose gradient is one step of the sampler, and of `network`."""

@@ -10,7 +10,7 @@ from jaxtyping import Float
 from torch import Tensor
 from torch.nn import functional as F
 
-from methods.ours.policy.learner import AllocationProblem
+from methods.ours.policy.learner import AllocationProblem, SamplerLearner
 
 __all__ = [
     "BlockPolicyGradient",
@@ -63,10 +63,7 @@ class BlockPolicyGradient:
         return row, column
 
     def explore(
-        self,
-        mean: Float[Tensor, "n 1 h w"],
-        corner: tuple[int, int],
-        generator: torch.Generator,
+        self, mean: Float[Tensor, "n 1 h w"], corner: tuple[int, int], generator: torch.Generator
     ) -> Float[Tensor, "n 1 h w"]:
         """An action drawn around the mean, with constant noise within a block."""
         n, _, h, w = mean.shape
@@ -77,10 +74,7 @@ class BlockPolicyGradient:
         return mean.detach() + self.action_std * noise[..., top : top + h, left : left + w]
 
     def antithetic_actions(
-        self,
-        mean: Float[Tensor, "n 1 h w"],
-        corner: tuple[int, int],
-        generator: torch.Generator,
+        self, mean: Float[Tensor, "n 1 h w"], corner: tuple[int, int], generator: torch.Generator
     ) -> Float[Tensor, "k n 1 h w"]:
         """Actions around the mean, in antithetic pairs: the noise of one is minus the other's."""
         halves = [self.explore(mean, corner, generator) for _ in range(self.draws // 2)]
@@ -120,7 +114,7 @@ class BlockPolicyGradient:
 
 
 @dataclass
-class BlockReinforce:
+class BlockReinforce(SamplerLearner):
     """Rolls out several actions around the mean from one state, and compares their errors.
 
     Each set of actions is used for one step, so the ratio of new to old probability is 1 and the
@@ -128,8 +122,6 @@ class BlockReinforce:
     """
 
     policy: BlockPolicyGradient = BlockPolicyGradient()  # noqa: RUF009  (frozen)
-    min_samples: int = 0
-    network: None = None
 
     def loss(self, problem: AllocationProblem, generator: torch.Generator) -> Float[Tensor, ""]:
         """The policy's loss over its `draws` actions."""

@@ -9,7 +9,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from baselines.dasr.train import redraw_as_gamma
-from methods.ours.policy.learner import AllocationProblem
+from methods.ours.policy.learner import AllocationProblem, SamplerLearner
 from methods.ours.policy.reinforce import BlockReinforce
 from rlbench.frames import Frame, Samples
 from rlbench.training.surrogate_gradient import SampleGradient
@@ -57,12 +57,11 @@ def gamma_gradient_per_sample(
 
 
 @dataclass
-class SurrogateLearner:
+class SurrogateLearner(SamplerLearner):
     """No exploration: the image's own loss, differentiated through the drawn samples."""
 
     sample_gradient: SampleGradient = kuznetsov_gradient_per_sample
-    min_samples: int = 1  # a pixel without samples has no gradient
-    network: None = None
+    min_samples = 1  # a pixel without samples has no gradient
 
     def loss(self, problem: AllocationProblem, generator: torch.Generator) -> Float[Tensor, ""]:
         """The image's loss.
@@ -73,7 +72,7 @@ class SurrogateLearner:
 
 
 @dataclass
-class CombinedLearner:
+class CombinedLearner(SamplerLearner):
     """The sum of two estimates of one gradient, with opposite faults.
 
     REINFORCE counts every effect of a sample, on neighbouring pixels and on pixels without samples,
@@ -85,8 +84,6 @@ class CombinedLearner:
 
     reinforce: BlockReinforce = field(default_factory=BlockReinforce)
     surrogate: SurrogateLearner = field(default_factory=SurrogateLearner)
-    min_samples: int = 0
-    network: None = None
 
     def loss(self, problem: AllocationProblem, generator: torch.Generator) -> Float[Tensor, ""]:
         """The policy's loss and, from 1 spp on, the image's."""

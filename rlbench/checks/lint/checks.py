@@ -31,7 +31,7 @@ from rlbench.checks.lint.geometry import (
     fit_depth_kinds,
     normalize,
 )
-from rlbench.checks.lint.motion import check_motion
+from rlbench.checks.lint.motion import check_motion, check_sky
 from rlbench.checks.lint.radiance import (
     check_brightness,
     check_exposure,
@@ -125,6 +125,7 @@ def lint_clip(arrays: ClipArrays) -> list[CheckResult]:
         check_finite(arrays),
         check_non_negative(sanitized),
         check_motion(sanitized),
+        check_sky(sanitized),
         check_depth(sanitized, fits),
         check_normals(sanitized, fits, is_upright),
         check_albedo(sanitized),

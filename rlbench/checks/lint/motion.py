@@ -9,6 +9,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import product
 
+import numpy as np
 import torch
 from jaxtyping import Bool, Float
 from torch import Tensor
@@ -16,11 +17,12 @@ from torch import Tensor
 from rlbench.checks.lint.clip_arrays import ClipArrays
 from rlbench.checks.lint.jitter import REMEDY, find_jitter_fault
 from rlbench.checks.result import CheckResult, failed, passed, warning
+from rlbench.clips.importers.sky import judge_sky
 from rlbench.ops.reprojection import reproject
 
 DIRECTIONS = {"to the previous frame": -1, "to the next frame": 1}  # offset of the other frame
 FLOOR = 0.01  # standard deviations: smaller differences are rounding and interpolation
-CHECK = "motion"
+CHECK, SKY = "motion", "sky motion"
 MAX_PAIRS = 3  # pairs of frames on which the most likely conventions are compared
 MAX_CONVENTIONS = 8  # number of most likely conventions
 MIN_CHANGE = 1e-3  # mean change of the G-buffer, in standard deviations, that counts as motion
@@ -209,6 +211,23 @@ def check_motion(arrays: ClipArrays) -> CheckResult:
     second = next(f"{format_share(s)} as {c}" for c, s in ranked if c not in (FORMAT_V1, OPPOSITE))
     found = f"explains {format_share(stored)} of the change as {FORMAT_V1}; next best {second}"
     return _check_cuts(arrays, found)
+
+
+def check_sky(arrays: ClipArrays) -> CheckResult:
+    """Does the sky move as the camera turns? `check_motion` judges surfaces alone."""
+    if arrays.header.static or not {"motion", "depth"} <= set(arrays.gbuffer):
+        return passed(SKY, "not judged in a static clip, or without motion and depth")
+    motion = arrays.gbuffer["motion"].movedim(1, -1).double().numpy()
+    depth = arrays.gbuffer["depth"].movedim(1, -1).numpy()
+    sky = np.isinf(depth[..., 0])
+    verdicts = [judge_sky(*frame) for frame in zip(motion, sky, depth, strict=True)]
+    if wrong := [index for index, verdict in enumerate(verdicts) if verdict != "stored"]:
+        found = f"0 in {sky[wrong[0]].mean():.0%} of frame {wrong[0]}, while surfaces move"
+        remedy = "compute it from the rotation of the camera, or let it point outside the image"
+        if "unwritten" in verdicts:
+            return failed(SKY, f"{found} as if the camera turned", remedy)
+        return warning(SKY, f"{found}; their depths do not tell if the camera turns", remedy)
+    return passed(SKY, f"consistent with surfaces; {sky.mean():.0%} of the pixels are sky")
 
 
 def rank_conventions(arrays: ClipArrays) -> list[tuple[MotionConvention, float]]:

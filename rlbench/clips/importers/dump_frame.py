@@ -121,7 +121,14 @@ def read_frame(
         reader.broken.update({name: mask & surface for name, mask in reader.broken.items()})
     files = {name: reader.files.images[name] for name in ("radiance", "reference")}
     return ImportedFrame(
-        gbuffer, pool, halves[0], halves[len(halves) == 2], reader.broken, files, reader.counts
+        gbuffer=gbuffer,
+        pool=pool,
+        half_a=halves[0],
+        half_b=halves[len(halves) == 2],
+        broken=reader.broken,
+        empty=reader.empty,
+        files=files,
+        counts=reader.counts,
     )
 
 
@@ -134,6 +141,7 @@ class _Reader:
     size: tuple[int, int]
     counts: Counter[str] = field(default_factory=Counter)
     broken: dict[str, NDArray[np.bool_]] = field(default_factory=dict)
+    empty: dict[str, NDArray[np.bool_]] = field(default_factory=dict)
 
     def read_all(self, name: str, most: int) -> list[Pixels]:
         """The first images of a kind; empty where there is none. Raises SourceError."""
@@ -156,9 +164,10 @@ class _Reader:
         fill = {"depth": np.inf, "motion": getattr(image, "offset", 0)}.get(name, 0)
         pixels, empty, cut = read_exr_image(path, channels, fill)
         limits.check_same_size(path, pixels.shape[:2], self.size)
-        for kind, count in (("empty", empty), ("cut", cut)):
+        for kind, count in (("empty", int(empty.sum())), ("cut", cut)):
             self.counts[f"{kind} pixels"] += count
             self.counts[f"{kind} images"] += count > 0
+        self.empty[name] = np.flip(empty, FLIPS[image.flip])
         if _is_straight(image):
             pixels = pixels[..., :-1] * pixels[..., -1:]
         return np.flip(pixels, FLIPS[image.flip])

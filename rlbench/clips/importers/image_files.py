@@ -49,7 +49,7 @@ class ExrImage(NamedTuple):
     """The pixels of a display window, of which the file may have only some, or others too."""
 
     pixels: Pixels  # h w c, in the precision of the file; of UINT channels float64
-    empty: int  # pixels outside the data window
+    empty: NDArray[np.bool_]  # h w 1, outside the data window
     cut: int  # pixels of the data window outside the display window
 
 
@@ -82,12 +82,13 @@ def read_exr_image(path: Path, channels: Channels, fill: float = 0.0) -> ExrImag
             for plane in read_planes(path, header, names)
         ]
         data = np.stack(planes, axis=-1)
-        if header.data_window == header.display_window:
-            return ExrImage(data, 0, 0)
-        pixels = np.full((h, w, len(names)), fill, data.dtype)
-        pixels[target] = data[source]
-        stored, shown = data[..., 0].size, data[source][..., 0].size
-        return ExrImage(pixels, h * w - shown, stored - shown)
+        empty = np.ones((h, w, 1), bool)
+        empty[target] = False
+        pixels = data
+        if header.data_window != header.display_window:
+            pixels = np.full((h, w, len(names)), fill, data.dtype)
+            pixels[target] = data[source]
+        return ExrImage(pixels, empty, data[..., 0].size - int((~empty).sum()))
 
 
 def has_channels(path: Path, channels: Channels) -> bool:

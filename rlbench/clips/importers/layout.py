@@ -192,8 +192,9 @@ class Layout:
     @property
     def other_files(self) -> tuple[str, ...]:
         """Files below the dump that are no images."""
-        poses = [image.camera for image in (self.normal, self.motion) if image and image.camera]
-        return (*poses, *(self.camera.files if self.camera else ()))
+        cameras = (image.camera for image in (self.normal, self.motion) if image)
+        offsets = self.camera.files if self.camera else ()
+        return tuple(dict.fromkeys(name for name in (*cameras, *offsets) if name))
 
 
 def ready_layouts() -> dict[str, Path]:

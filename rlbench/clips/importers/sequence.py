@@ -40,6 +40,7 @@ class ImportedFrame(NamedTuple):
     half_a: Pixels  # h w 3, the reference, or one half of it
     half_b: Pixels  # h w 3, the same again, or the other half
     broken: Mapping[str, NDArray[np.bool_]] = {}  # h w 1, by buffer: replaced by background
+    empty: Mapping[str, NDArray[np.bool_]] = {}  # h w 1, by image: outside the data window
     files: Mapping[str, Sequence[Path]] = {}  # of the samples and references, by image, in order
     counts: Mapping[str, int] = {}  # of what is unusual in the images, see Findings
 

@@ -8,7 +8,7 @@ whether the camera turns, if their depths differ.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Literal
 
@@ -18,7 +18,7 @@ from numpy import ndarray as Array
 
 from rlbench.clips.importers.conversions import OUTSIDE, parse_axis
 from rlbench.clips.importers.dump_frame import read_rotation
-from rlbench.clips.importers.layout import Layout
+from rlbench.clips.importers.layout import Layout, Motion
 from rlbench.clips.importers.sequence import ImportedFrame, ImportedSequence
 
 __all__ = ["add_sky_motion", "judge_sky", "motion_at_infinity"]
@@ -27,7 +27,8 @@ LIMITATION = "sky motion"
 MAX_FRAMES = 16  # of a clip that are judged
 MIN_SHARE = 1e-3  # of an image that counts as a sky
 STILL = 1e-3  # pixels
-MIN_TURN = 0.25  # pixels: a camera that turns moves the sky by more
+MAX_MOVING = 0.05  # of a sky whose motion is not written: its edges have that of surfaces
+MIN_TURN = 0.5  # pixels: a camera that turns moves the sky by more; moving objects cost 0.2
 MAX_POINTS = (3000, 200)  # of surfaces and of the sky, for the fit
 SIGMAS = 5.0
 REWEIGHTINGS = 12
@@ -44,48 +45,68 @@ def add_sky_motion(sequence: ImportedSequence, layout: Layout, source: Path) -> 
     has_none = {"no motion", "flow"} & set(sequence.limitations)
     if motion is None or has_none or motion.sky == "stored":
         return sequence
-    has_depth = "no depth" not in sequence.limitations
-
-    def is_unknown(frame: ImportedFrame) -> bool:
-        sky = _find_sky(frame, has_depth)
-        stored = frame.gbuffer["motion"]
-        depth = frame.gbuffer["depth"] if has_depth else None
-        return motion.sky == "unknown" or judge_sky(stored, sky, depth) != "stored"
-
-    chosen = np.linspace(0, len(sequence.numbers) - 1, min(MAX_FRAMES, len(sequence.numbers)))
-    judged = {sequence.numbers[round(index)] for index in chosen}
-    if not any(is_unknown(sequence.read(number, 1)) for number in sorted(judged)):
-        return sequence
     camera = motion.camera or (layout.normal.camera if layout.normal else "")
     fov = motion.fov or (layout.depth.fov if layout.depth else None)
-    first = sequence.first_number
+    sky = _Sky(sequence, motion, source / camera if camera and fov else None, fov or 0)
+    count = len(sequence.numbers)
+    chosen = {round(index) for index in np.linspace(0, count - 1, min(MAX_FRAMES, count))}
+    frames = (sequence.read(sequence.numbers[index], 1) for index in sorted(chosen))
+    if not any(map(sky.is_unknown, frames)):
+        return sequence
+    if sky.camera:
+        return replace(sequence, read=sky.read, files=(*sequence.files, sky.camera))
+    limitations = (*sequence.limitations, LIMITATION)
+    return replace(sequence, read=sky.read, limitations=limitations)
 
-    def read_pose(number: int) -> Float[Array, "3 3"]:
-        rotation = read_rotation(source / camera, number - first)
-        axes = (parse_axis(word, "[motion] camera_axes") for word in motion.camera_axes)
-        return np.stack([sign * rotation[:, index] for index, sign in axes], 1)
 
-    def read(number: int, samples: int) -> ImportedFrame:
-        frame = sequence.read(number, samples)
-        if not is_unknown(frame):
+@dataclass(frozen=True)
+class _Sky:
+    """Reads the frames of a sequence whose sky has no motion."""
+
+    sequence: ImportedSequence
+    motion: Motion
+    camera: Path | None  # a file of poses
+    fov: float  # horizontal, degrees
+
+    def read(self, number: int, samples: int) -> ImportedFrame:
+        """A frame with motion of its sky. Raises SourceError."""
+        frame = self.sequence.read(number, samples)
+        if not self.is_unknown(frame):
             return frame
         stored = frame.gbuffer["motion"]
-        known: Array = np.multiply(OUTSIDE, stored.shape[1::-1])
-        if camera and fov and number > first:
-            known = motion_at_infinity(
-                read_pose(number), read_pose(number - 1), fov, stored.shape[:2]
-            )
-        sky = _find_sky(frame, has_depth)[..., None]
-        written = np.where(sky, known, stored).astype(np.float32)
-        return frame._replace(gbuffer={**frame.gbuffer, "motion": written})
+        replaced = self._find(frame)[..., None]
+        if self.motion.sky == "auto":
+            replaced &= (np.abs(stored) <= STILL).all(-1, keepdims=True)
+        known = np.where(replaced, self._from_camera(number, stored.shape[:2]), stored)
+        return frame._replace(gbuffer={**frame.gbuffer, "motion": known.astype(np.float32)})
 
-    is_known = bool(camera and fov)
-    return replace(
-        sequence,
-        read=read,
-        limitations=(*sequence.limitations, *([] if is_known else [LIMITATION])),
-        files=(*sequence.files, *([source / camera] if is_known else [])),
-    )
+    def is_unknown(self, frame: ImportedFrame) -> bool:
+        """Whether the motion that is stored is not that of the sky."""
+        depth = frame.gbuffer["depth"] if self._has_depth else None
+        judgement = judge_sky(frame.gbuffer["motion"], self._find(frame), depth)
+        return self.motion.sky == "unknown" or judgement != "stored"
+
+    @property
+    def _has_depth(self) -> bool:
+        return "no depth" not in self.sequence.limitations
+
+    def _find(self, frame: ImportedFrame) -> Bool[Array, "h w"]:
+        """Where no surface is visible, without what lies outside the data window of motion."""
+        depth, normal = frame.gbuffer["depth"], frame.gbuffer["normal"]
+        sky = np.isinf(depth[..., 0]) if self._has_depth else ~np.any(normal, axis=-1)
+        return np.asarray(sky & ~frame.empty["motion"][..., 0])
+
+    def _from_camera(self, number: int, size: tuple[int, ...]) -> Float[Array, "*hw 2"]:
+        """Motion of the sky in a frame; outside where there is no camera, or none before it."""
+        if self.camera is None or number == self.sequence.first_number:
+            return np.multiply(OUTSIDE, size[::-1])
+        poses = [self._pose(self.camera, each) for each in (number, number - 1)]
+        return motion_at_infinity(*poses, self.fov, size)
+
+    def _pose(self, camera: Path, number: int) -> Float[Array, "3 3"]:
+        rotation = read_rotation(camera, number - self.sequence.first_number)
+        axes = (parse_axis(word, "[motion] camera_axes") for word in self.motion.camera_axes)
+        return np.stack([sign * rotation[:, index] for index, sign in axes], 1)
 
 
 def judge_sky(
@@ -99,9 +120,9 @@ def judge_sky(
     inside = np.abs(motion).max(-1) < max(motion.shape[:2])
     surface = ~sky & inside
     moves = np.abs(motion).max(-1) > STILL
-    if sky.mean() < MIN_SHARE or moves[sky].any() or not surface.any():
+    if sky.mean() < MIN_SHARE or moves[sky].mean() > MAX_MOVING:
         return "stored"
-    if moves[surface].mean() <= 0.5:
+    if not surface.any() or moves[surface].mean() <= 0.5:
         return "stored"
     if depth is None:
         return "unclear"
@@ -131,12 +152,6 @@ def motion_at_infinity(
     ahead = z > 1e-6
     projected = np.stack([x, y], -1) / np.where(ahead, z, 1)[..., None] * focal + centre
     return np.where(ahead[..., None], projected - film, np.multiply(OUTSIDE, (w, h)))
-
-
-def _find_sky(frame: ImportedFrame, has_depth: bool) -> Bool[Array, "h w"]:
-    if has_depth:
-        return np.isinf(frame.gbuffer["depth"][..., 0])
-    return ~np.any(frame.gbuffer["normal"], axis=-1)
 
 
 def _predict_turn(
@@ -173,7 +188,7 @@ def _predict_turn(
     weight = np.where(np.abs(w := 1 + h[8] * x + h[9] * y) > 1e-3, w, 1)
     at = np.stack([h[0] * x + h[1] * y + h[2], h[4] * x + h[5] * y + h[6]], 1) / weight[:, None]
     at_sky = _rows(points[1], np.zeros(len(x)), at)
-    ridge = np.linalg.inv(gram + np.eye(len(gram)) * 1e-9 * np.trace(gram) / len(gram))
+    ridge = np.linalg.inv(gram + np.eye(len(gram)) * 1e-13 * np.trace(gram))
     variance = np.einsum("ij,jk,ik->i", at_sky, ridge, at_sky) * (1.5 * spread) ** 2
     turn = np.median(np.linalg.norm(at - points[1], axis=1))
     return float(turn * scale), float(np.sqrt(np.median(variance)) * scale)

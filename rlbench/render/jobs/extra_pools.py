@@ -27,9 +27,9 @@ from rlbench.clips.stored import Header, read_header, write_header
 from rlbench.pools import PoolKind, SampleStreams
 from rlbench.render.jobs.frame_worker import SEED
 from rlbench.render.jobs.job import FRAME_POOLS, Job
-from rlbench.render.mitsuba import llvm
 from rlbench.render.mitsuba.pool_stage import PoolStage
 from rlbench.render.mitsuba.tracer import MAX_PATHS
+from rlbench.render.mitsuba.variant import select_variant
 from rlbench.render.mitsuba.wavefront import WavefrontTracer
 from rlbench.render.scene import Scene
 from rlbench.system import paths
@@ -109,7 +109,7 @@ def find_missing_pools(jobs: Iterable[Job]) -> list[MissingPool]:
         if name not in FRAME_POOLS and name in installed and (job.folder / FILE).is_file()
     ]
     missing = [pool for pool in candidates if not pool.is_complete]
-    return missing if missing and not llvm.select_variant().startswith("scalar") else []
+    return missing if missing and not select_variant().startswith("scalar") else []
 
 
 def add_pools(missing: Sequence[MissingPool], bar: Progress) -> None:
@@ -175,7 +175,7 @@ def pool_sample_ms(scene: Scene, height: int, width: int, pool: str) -> float:
     Raises LookupError if this machine cannot trace the pool.
     """
     kind: PoolKind = registry.load_plugin("pools", pool)
-    if llvm.select_variant().startswith("scalar"):
+    if select_variant().startswith("scalar"):
         raise LookupError(
             f"pool '{pool}' needs LLVM or CUDA, and this machine has neither: run `rlbench doctor`"
         )

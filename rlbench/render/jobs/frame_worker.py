@@ -14,9 +14,9 @@ from rlbench.clips.stored import write_frame
 from rlbench.parallel.executor import ProgressCallback, Resources
 from rlbench.render.jobs import references
 from rlbench.render.jobs.job import Job
-from rlbench.render.mitsuba import llvm
 from rlbench.render.mitsuba.gbuffer import render_gbuffer
 from rlbench.render.mitsuba.open_tracer import Tracer, open_tracer
+from rlbench.render.mitsuba.variant import select_variant
 
 __all__ = ["SEED", "FrameBuffers", "FrameRenderer", "FrameTask", "frame_resources", "save_frame"]
 
@@ -80,7 +80,7 @@ class FrameRenderer:
 
 def frame_resources() -> Resources:
     """Resources of one frame: a few CPU cores, or one GPU."""
-    return Resources(CPUS, gpus=1 if llvm.select_variant().startswith("cuda") else 0)
+    return Resources(CPUS, gpus=1 if select_variant().startswith("cuda") else 0)
 
 
 def save_frame(job: Job, index: int, frame: FrameBuffers) -> None:

@@ -22,9 +22,9 @@ from rlbench.frames import Frame, Samples, Size
 from rlbench.render.fingerprint import fingerprint
 from rlbench.render.jobs.job import FRAME_POOLS, read_content_key
 from rlbench.render.jobs.render_clips import scene_of_clip
-from rlbench.render.mitsuba.llvm import select_variant
 from rlbench.render.mitsuba.open_tracer import open_tracer
 from rlbench.render.mitsuba.tracer import MAX_PATHS, Tracer
+from rlbench.render.mitsuba.variant import select_variant
 from rlbench.render.scene import Scene
 
 __all__ = [

@@ -30,8 +30,8 @@ from rlbench.render.jobs.frame_worker import (
 )
 from rlbench.render.jobs.job import Job
 from rlbench.render.jobs.trace_times import measure_trace_times
-from rlbench.render.mitsuba import llvm
 from rlbench.render.mitsuba.open_tracer import Tracer, open_tracer
+from rlbench.render.mitsuba.variant import select_variant
 from rlbench.render.presets import Preset
 from rlbench.render.scene import Scene, SceneError
 from rlbench.system import paths
@@ -218,7 +218,7 @@ def _estimate(jobs: list[Job], executor: Executor) -> str:
     at_most = "at most " if preset.max_reference_rounds > 1 else ""
     alone = f" on this machine alone; {executor.description}" if executor.description else ""
     return (
-        f"rendering {len(jobs)} clips of preset {preset.name} with {llvm.select_variant()} "
+        f"rendering {len(jobs)} clips of preset {preset.name} with {select_variant()} "
         f"to {jobs[0].folder.parent}: {at_most}{paths_to_trace / 1e6:.0f} million light paths, "
         f"about {format_duration(seconds)}{alone}. "
         "If interrupted, the same command resumes it"
@@ -237,6 +237,6 @@ def _raise_first(errors: list[Exception]) -> None:
 
 
 def _make_header(job: Job, tracer: Tracer) -> Header:
-    version = f"{importlib.metadata.version('mitsuba')} {llvm.select_variant()}"
+    version = f"{importlib.metadata.version('mitsuba')} {select_variant()}"
     times = measure_trace_times(tracer)
     return times.written_to(job.make_header("mitsuba path", version, times.sample_ms, seed=SEED))

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import math
 
-from rlbench.render.mitsuba import llvm
 from rlbench.render.mitsuba.scalar import ScalarTracer
 from rlbench.render.mitsuba.tracer import Tracer
+from rlbench.render.mitsuba.variant import select_variant
 from rlbench.render.mitsuba.wavefront import WavefrontTracer
 from rlbench.render.scene import Scene
 
@@ -24,13 +24,13 @@ def open_tracer(
     scene: Scene, height: int, width: int, seed: int = 0, radiance_cap: float = math.inf
 ) -> Tracer:
     """A tracer of `scene`: wavefronts with LLVM or CUDA, else whole scalar images."""
-    kind = ScalarTracer if llvm.select_variant().startswith("scalar") else WavefrontTracer
+    kind = ScalarTracer if select_variant().startswith("scalar") else WavefrontTracer
     return kind(scene, height, width, seed, radiance_cap)
 
 
 def describe_tracer() -> str:
     """Variant and threads of this machine's tracer, on which its times depend."""
-    variant = llvm.select_variant()
+    variant = select_variant()
     import drjit as dr  # only now: it loads LLVM on import
 
     return variant if variant.startswith("cuda") else f"{variant}, {dr.thread_count()} threads"

@@ -17,8 +17,8 @@ from numpy import ndarray as Array
 from rlbench.parallel.executor import LOCAL, Executor
 from rlbench.render.jobs.job import FRAME_POOLS, Job
 from rlbench.render.jobs.render_clips import render_missing
-from rlbench.render.mitsuba import llvm
 from rlbench.render.mitsuba.open_tracer import Tracer, open_tracer
+from rlbench.render.mitsuba.variant import select_variant
 from rlbench.render.presets import Preset
 from rlbench.render.scene import Camera, Scene, SceneError
 from rlbench.render.user import auto_exposure, camera_path
@@ -104,7 +104,7 @@ def ensure_user_clip(
     settings, and the differences between the file and the rendering. Raises SceneError if the scene
     cannot be rendered with these options, and ClipError if `out` holds frames of another renderer.
     """
-    llvm.select_variant()
+    select_variant()
     user_scene = open_scene_file(options.file, options.parameters, options.skip_missing)
     job, _ = plan_clip(options, user_scene, preset)
     if job.is_finished:
@@ -146,7 +146,7 @@ def _inspect(
     scene: Scene, path: CameraPath, exposure: float | None, frames: int, size: tuple[int, int]
 ) -> Scene:
     """The scene with its camera and, unless one is given, an exposure, by a look at every frame."""
-    llvm.select_variant()
+    select_variant()
     with auto_exposure.mitsuba_errors():
         tracer = open_tracer(scene, *size)
     if path.kind in MOVING:

@@ -6,7 +6,7 @@ import hashlib
 from collections.abc import Callable
 from dataclasses import replace
 
-from rlbench.render.mitsuba import llvm
+from rlbench.render.mitsuba.variant import select_variant
 from rlbench.render.mitsuba.xml_scene import REPAIRS_VERSION
 from rlbench.render.presets import get_preset
 from rlbench.render.scene import Camera, Scene, XmlFile
@@ -65,7 +65,7 @@ def _inspect(located: LocatedScene, seed: int | None, frames: int, size: tuple[i
         seed=seed,
         skip_missing=bool(located.missing),
     )
-    llvm.select_variant()
+    select_variant()
     user_scene = open_scene_file(options.file, options.parameters, options.skip_missing)
     job, _ = plan_clip(options, user_scene, get_preset("mini"))
     return job.scene.inspect(frames, size)

@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 
 import torch
 
-from rlbench.benchmark.clock.calibration import Calibrator
+from rlbench.benchmark.clock import Calibrator
 from rlbench.family import Traits
 
 

@@ -9,7 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy import stats
 
-from rlbench.benchmark.clock.reliability import half_width, is_steady, median_ranks, middle_half
+from rlbench.benchmark.latency import half_width, is_steady, median_ranks, middle_half
 
 
 @pytest.mark.parametrize("count", [6, 7, 12, 40, 90, 300])

@@ -7,8 +7,7 @@ import math
 import pytest
 import torch
 
-from rlbench.benchmark.clock.rounds import Limits
-from rlbench.benchmark.latency import TimedRow, time_methods
+from rlbench.benchmark.latency import Limits, TimedRow, time_methods
 from rlbench.clips.procedural.clip import procedural_clip
 from rlbench.frames import Size
 from tests.benchmark.clock.fake_machine import Machine, Worker

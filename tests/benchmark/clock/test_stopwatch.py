@@ -12,8 +12,15 @@ from dataclasses import dataclass
 import pytest
 import torch
 
-from rlbench.benchmark.clock.calibration import Calibration, Calibrator, make_kernel
-from rlbench.benchmark.clock.stopwatch import Stopwatch, SystemClock, TimedMethod, timed_reader
+from rlbench.benchmark.clock import (
+    Calibration,
+    Calibrator,
+    Stopwatch,
+    SystemClock,
+    TimedMethod,
+    make_kernel,
+    timed_reader,
+)
 from rlbench.clips.procedural.clip import procedural_clip
 from rlbench.family import Traits
 from rlbench.frames import Size
@@ -45,7 +52,7 @@ def reading(traits, allocation_ms=3.0, monkeypatch=None):
     stopwatch = Stopwatch(machine)
     worker = Worker(machine, 1.0, 9.0, traits=traits)
     monkeypatch.setattr(
-        "rlbench.benchmark.clock.stopwatch.sanitize_frame",
+        "rlbench.benchmark.clock.sanitize_frame",
         lambda frame, inputs: sanitize_frame(frame, inputs)._replace(
             pool=SlowPool(frame.pool, machine)
         ),

@@ -10,10 +10,14 @@ from dataclasses import replace
 import pytest
 import scipy.stats
 
-from rlbench.benchmark.regression.baseline import Baseline, BaselineEntry, BaselineError
-from rlbench.benchmark.regression.comparison import compare
-from rlbench.benchmark.regression.scores import Score, scores
-from rlbench.benchmark.regression.speed_gate import SpeedGate, SpeedResult
+from rlbench.benchmark.regression.baseline import (
+    Baseline,
+    BaselineEntry,
+    BaselineError,
+    Score,
+    scores,
+)
+from rlbench.benchmark.regression.comparison import SpeedGate, SpeedResult, compare
 from rlbench.benchmark.results import to_dataframe
 from tests.benchmark.regression.examples import baseline, rows
 
@@ -197,7 +201,7 @@ def test_an_entry_twice_is_refused():
 
 
 def test_the_regression_check_does_not_import_torch():
-    modules = "rlbench.cli.regress, rlbench.benchmark.regression.page"
+    modules = "rlbench.cli.regress, rlbench.benchmark.regression.pages"
     look = f"import sys, {modules}; sys.exit('torch' in sys.modules)"
     assert subprocess.run([sys.executable, "-c", look], check=False).returncode == 0
 

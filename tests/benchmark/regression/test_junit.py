@@ -11,9 +11,8 @@ import xmlschema
 from junitparser import Failure, JUnitXml, Skipped
 
 from rlbench.benchmark.regression.baseline import BaselineEntry
-from rlbench.benchmark.regression.comparison import compare
-from rlbench.benchmark.regression.junit import write_junit
-from rlbench.benchmark.regression.speed_gate import SpeedGate, SpeedResult
+from rlbench.benchmark.regression.comparison import SpeedGate, SpeedResult, compare
+from rlbench.benchmark.regression.pages import write_junit
 from rlbench.benchmark.results import to_dataframe
 from tests.benchmark.regression.examples import baseline, rows
 

@@ -7,7 +7,7 @@ import pytest
 
 from rlbench.benchmark.regression.comparison import compare
 from rlbench.benchmark.regression.crops import Crops
-from rlbench.benchmark.regression.page import append_to_job_summary, markdown, write_summary
+from rlbench.benchmark.regression.pages import append_to_job_summary, markdown, write_summary
 from rlbench.benchmark.results import to_dataframe
 from tests.benchmark.regression.examples import baseline, rows
 

@@ -9,7 +9,7 @@ import torch
 
 from rlbench import registry
 from rlbench.benchmark.latency import PartTime, Timing
-from rlbench.benchmark.regression.speed_gate import (
+from rlbench.benchmark.regression.comparison import (
     SpeedGate,
     judge,
     measure_gates,

@@ -11,14 +11,16 @@ import pytest
 import scipy.stats
 
 from rlbench.benchmark.regression.baseline import (
+    FALSE_ALARMS,
     Baseline,
     BaselineEntry,
     BaselineError,
     ScoreKey,
+    allowed_falls,
     load_baseline,
+    update_baseline,
 )
 from rlbench.benchmark.regression.comparison import compare
-from rlbench.benchmark.regression.update import FALSE_ALARMS, allowed_falls, update_baseline
 from rlbench.benchmark.results import to_dataframe
 from tests.benchmark.regression.examples import rows
 

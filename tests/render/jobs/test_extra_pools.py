@@ -11,7 +11,7 @@ from rlbench.family import Traits
 from rlbench.render.jobs import extra_pools
 from rlbench.render.jobs.job import Job
 from rlbench.render.jobs.render_clips import render_clip, render_missing
-from rlbench.render.mitsuba.llvm import select_variant
+from rlbench.render.mitsuba.variant import select_variant
 from rlbench.render.presets import Preset
 from tests.render.small_scenes import room
 

@@ -79,7 +79,7 @@ def test_a_method_makes_the_same_images_of_live_and_of_stored_samples(llvm, tmp_
 
 
 def test_without_llvm_live_and_stored_images_are_the_same_too(tmp_path):
-    from rlbench.render.mitsuba.llvm import select_variant
+    from rlbench.render.mitsuba.variant import select_variant
 
     select_variant("scalar_rgb")
     stored, live = open_both(render_scene(tmp_path, room()), room())

@@ -7,12 +7,10 @@ import pytest
 import torch
 
 from rlbench import registry
-from rlbench.benchmark.cell_loader import CellLoader
 from rlbench.benchmark.clip_sources import StoredSource
 from rlbench.benchmark.cost import FULL_FRAME
-from rlbench.benchmark.resolve import resolve_cells
-from rlbench.benchmark.run_plan import RunPlan
-from rlbench.benchmark.scatter import ScatterMeter
+from rlbench.benchmark.run_plan import CellLoader, RunPlan, list_cells
+from rlbench.benchmark.timing import ScatterMeter
 from rlbench.render.jobs.job import Job
 from rlbench.render.jobs.live_pool import open_wavefronts
 from rlbench.render.jobs.render_clips import render_clip
@@ -67,7 +65,7 @@ def folder(llvm, tmp_path, monkeypatch):
 
 def cell(folder, method):
     plan = RunPlan((method,), (StoredSource(folder),), (2.0,))
-    (only,) = resolve_cells(plan)
+    (only,) = list_cells(plan)
     return ScatterMeter(CellLoader(plan)), only
 
 

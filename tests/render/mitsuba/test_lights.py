@@ -68,7 +68,7 @@ def test_a_scaled_light_equals_one_loaded_with_that_strength(llvm, kind, share):
 
 @pytest.mark.parametrize("kind", ["lamp", "bitmap"])
 def test_without_llvm_lights_are_scaled_too(kind):
-    from rlbench.render.mitsuba.llvm import select_variant
+    from rlbench.render.mitsuba.variant import select_variant
 
     select_variant("scalar_rgb")
     light, build = LIGHT_CASES[kind]

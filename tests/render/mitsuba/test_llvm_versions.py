@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from rlbench.render.mitsuba import llvm
+from rlbench.render.mitsuba import variant
 
 SCENES = ("room", "city", "temple", "hall", "ripples")
 TRACE = """
@@ -30,10 +30,6 @@ for name in sys.argv[2:]:
 arrays["version"] = np.array(drjit.detail.llvm_version())
 np.savez(sys.argv[1], **arrays)
 """
-
-
-def usable(libraries: list[Path]) -> Path | None:
-    return next((path for path in libraries if not llvm.probe_library(path)), None)
 
 
 def trace(library: Path, folder: Path) -> dict[str, np.ndarray]:
@@ -61,12 +57,14 @@ def pair(tmp_path_factory) -> tuple[dict[str, np.ndarray], dict[str, np.ndarray]
     """What the wheel's library and another one trace."""
     with pytest.MonkeyPatch.context() as patch:
         patch.delenv("DRJIT_LIBLLVM_PATH", raising=False)  # set where a variant is selected
-        found = [path for version, path in llvm.find_candidates() if version >= llvm.MIN_VERSION]
-    files = {path.resolve() for path in llvm.wheel_files()}
-    wheel = usable([path for path in found if path in files])
-    other = usable([path for path in found if path not in files])
+        found = variant.find_libraries()
+        patch.setattr(variant, "wheel_files", lambda: [])
+        others = variant.find_libraries()
+    files = {path.resolve() for path in variant.wheel_files()}
+    wheel = next((each.path for each in found if not each.fault and each.path in files), None)
+    other = next((each.path for each in others if not each.fault and each.path not in files), None)
     if wheel is None:
-        pytest.skip(f"the wheel {llvm.WHEEL} is not installed, or Dr.Jit cannot use its library")
+        pytest.skip(f"the wheel {variant.WHEEL} is not installed, or Dr.Jit cannot use its library")
     if other is None:
         pytest.skip("no usable libLLVM beside the wheel's (apt-get install libllvm19)")
     folder = tmp_path_factory.mktemp("llvm")

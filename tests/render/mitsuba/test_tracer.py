@@ -26,7 +26,7 @@ def test_any_pairs_in_any_order_equal_the_stack(tracer, count):
 
 
 def test_without_llvm_pairs_equal_the_stack_too():
-    from rlbench.render.mitsuba.llvm import select_variant
+    from rlbench.render.mitsuba.variant import select_variant
 
     select_variant("scalar_rgb")
     tracer = open_tracer(room(), H, W)
@@ -130,7 +130,7 @@ def test_a_floor_below_an_atlas_of_lamps_has_the_radiance_of_the_form_factor(var
 
 
 def test_both_kinds_of_tracer_see_the_same_picture(llvm):
-    from rlbench.render.mitsuba.llvm import select_variant
+    from rlbench.render.mitsuba.variant import select_variant
 
     first = open_tracer(room(), H, W).trace_images(256)
     select_variant("scalar_rgb")

@@ -8,8 +8,8 @@ from typer.testing import CliRunner
 
 from rlbench.cli.app import app
 from rlbench.clips.stored import read_header
-from rlbench.render.mitsuba.llvm import select_variant
 from rlbench.render.mitsuba.open_tracer import open_tracer
+from rlbench.render.mitsuba.variant import select_variant
 from rlbench.render.scene import Camera, Scene, SceneError, XmlFile
 from rlbench.render.user import auto_exposure, camera_path
 from rlbench.render.user.wander import NO_SURFACE, TURN, wander

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from reports.analysis.crops import choose_crops
+from reports.zooms import choose_crops
 
 
 def errors(seed=0):

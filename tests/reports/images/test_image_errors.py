@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import torch
 
-from reports.analysis.image_errors import decibels, encode_srgb, luminance, squared_error
+from reports.analysis.images import decibels, encode_srgb, luminance, squared_error
 from rlbench.ops import color
 
 

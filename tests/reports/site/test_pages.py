@@ -9,8 +9,8 @@ import re
 import pytest
 
 from reports.site import build_pages, preset_scores
-from reports.site.leaderboard import VIEWER
-from reports.site.method_page import paper_links
+from reports.site.build import VIEWER
+from reports.site.pages import paper_links
 from rlbench import registry
 from rlbench.benchmark.results import to_dataframe
 from tests.reports.conftest import METHODS, rows

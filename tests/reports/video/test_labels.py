@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from reports.video.labels import LARGEST, SMALLEST, Label, draw_label, fit_size
-from reports.video.panels import BACKGROUND
+from reports.video.pictures import BACKGROUND, LARGEST, SMALLEST, Label, draw_label, fit_size
 
 SHORT, LONG = (
     Label("ours", "1 spp  22.5 dB"),

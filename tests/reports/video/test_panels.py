@@ -7,8 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from reports.video.layouts import pictures
-from reports.video.panels import BACKGROUND, MARK, SLICE_GAP, draw_panel, panels_of
+from reports.video.pictures import BACKGROUND, MARK, SLICE_GAP, draw_panel, panels_of, pictures
 from reports.video.style import VideoStyle
 from tests.reports.video.conftest import FRAMES, METHODS, SIDE
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from reports.video.layouts import divider_position
+from reports.video.pictures import divider_position
 from reports.video.style import VideoError, VideoStyle, check_formats
 
 

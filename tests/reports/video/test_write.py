@@ -11,9 +11,9 @@ import pytest
 from PIL import Image
 
 from reports.video import VideoStyle, write
-from reports.video.encode import write_mp4, write_webp
-from reports.video.layouts import GAP, divider_position
+from reports.video.pictures import GAP, divider_position
 from reports.video.style import VideoError
+from reports.video.write import write_mp4, write_webp
 from tests.reports.video.conftest import FRAMES, METHODS, SIDE
 
 ZOOM = 4

@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from reports.viewer.decision_data import ALL_SCENES, decision_data, student_factors
-from reports.viewer.table_data import frame_scores, provenance
+from reports.viewer.data import ALL_SCENES, decision_data, frame_scores, provenance, student_factors
 
 
 def test_each_scene_has_curves_over_its_clips(results):

@@ -7,7 +7,7 @@ import pytest
 
 from rlbench.clips.stored import read_header
 from rlbench.render.jobs.render_clips import preset_jobs, render_missing, scene_of_clip
-from rlbench.render.mitsuba.llvm import select_variant
+from rlbench.render.mitsuba.variant import select_variant
 from rlbench.render.presets import PRESETS, Preset
 from rlbench.render.scene import SceneError
 from rlbench.scenes.collection import catalog

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 
@@ -17,7 +18,6 @@ from methods.ours.experiments.gradients.exact_gradient import (
     tile_parameters,
     true_gradient,
 )
-from methods.ours.experiments.gradients.statistics import GradientStatistics
 from methods.ours.experiments.toy_problem import Mode, ToyProblem
 from methods.ours.policy import (
     AllocationProblem,
@@ -31,15 +31,26 @@ from methods.ours.policy import (
 from methods.ours.policy.sample_gradients import kuznetsov_gradient_per_sample
 from rlbench.training.surrogate_gradient import SampleGradient, kuznetsov_gradient
 
-__all__ = ["ESTIMATORS", "Estimator", "Measurement", "ScoreFunction", "measure"]
+__all__ = [
+    "ESTIMATORS",
+    "Estimator",
+    "GradientStatistics",
+    "Interval",
+    "Measurement",
+    "ScoreFunction",
+    "measure",
+]
 
 BATCH = 32  # images of one backward pass
 SMALLER_BLOCKS = "use smaller blocks, at the price of more noise"
+Z95 = 1.96  # standard errors of a 95 % interval
+MIN_SIGNAL_SHARE = 0.5  # of the squared mean gradient; below it the mean is mostly noise
+MAX_COSINE_MARGIN = 0.15  # half width of an interval that still says something
 LOCAL = BlockPolicyGradient(block=1, margin=0)  # an action per pixel
 
 
 @dataclass(frozen=True)
-class ScoreFunction:
+class ScoreFunction(SamplerLearner):
     """The textbook estimator (Williams 1992): one reward for the image, credited to every pixel.
 
     Unbiased for the expected error of the noisy action. `baseline` subtracts the mean error of the
@@ -48,8 +59,6 @@ class ScoreFunction:
 
     baseline: bool
     policy: BlockPolicyGradient = LOCAL
-    min_samples: int = 0
-    network: None = None
 
     def loss(self, problem: AllocationProblem, generator: torch.Generator) -> Float[Tensor, ""]:
         """Mean over draws of error times log-probability of the action."""
@@ -64,12 +73,8 @@ class ScoreFunction:
         return loss
 
 
-@dataclass(frozen=True)
-class RelaxedTruth:
+class RelaxedTruth(SamplerLearner):
     """The gradient of the expected error as if counts were real numbers; without noise."""
-
-    min_samples: int = 0
-    network: None = None
 
     def loss(self, problem: AllocationProblem, generator: torch.Generator) -> Float[Tensor, ""]:
         """The relaxed error, mean over images."""
@@ -79,12 +84,10 @@ class RelaxedTruth:
 
 
 @dataclass(frozen=True)
-class ExploredTruth:
+class ExploredTruth(SamplerLearner):
     """The exact gradient at noisy actions: what a policy of this noise can learn at best."""
 
     policy: BlockPolicyGradient = LOCAL
-    min_samples: int = 0
-    network: None = None
 
     def loss(self, problem: AllocationProblem, generator: torch.Generator) -> Float[Tensor, ""]:
         """A loss whose gradient is the exact one at an action around the mean."""
@@ -160,6 +163,99 @@ ESTIMATORS: Mapping[str, Estimator] = {
     "score function": _not_for_training(lambda denoiser: ScoreFunction(baseline=True)),
     "score function, no baseline": _not_for_training(lambda d: ScoreFunction(baseline=False)),
 }
+
+
+@dataclass(frozen=True)
+class Interval:
+    """An estimate and half the width of its 95 % confidence interval."""
+
+    value: float
+    margin: float
+
+    def __str__(self) -> str:
+        """`value ± margin`, two digits behind the point."""
+        return f"{self.value:.2f} ± {self.margin:.2f}"
+
+
+@dataclass(frozen=True)
+class GradientStatistics:
+    """What independent draws say about their expectation; the noise of the mean is removed.
+
+    A common factor on all gradients changes `scale` and `bias` alone, and Adam divides it out. The
+    cosine is the share of the steepest descent that a step of the same length along the expectation
+    achieves.
+    """
+
+    scale: Interval  # component of the expectation along the truth, as a multiple of it; ideal 1
+    cosine: Interval  # of expectation and truth; ideal 1; nan where noise hides the expectation
+    bias: Interval  # |expectation - truth| / |truth|; ideal 0
+    noise: float  # standard deviation of one draw / |component along the truth|
+    is_resolved: bool  # is the direction of the expectation known, or hidden by noise?
+
+    @property
+    def frames_needed(self) -> float:
+        """Draws whose mean has as much noise as signal: the square of `noise`."""
+        return self.noise**2
+
+    @classmethod
+    def of_draws(
+        cls, draws: Float[Tensor, "d p"], truth: Float[Tensor, " p"]
+    ) -> GradientStatistics:
+        """Statistics of at least two draws; intervals by the jackknife."""
+        size = truth.norm()
+        units = draws.double() / size  # the truth has length 1
+        moments = _Moments.of(units, units @ (truth.double() / size))
+        scale, squared = float(moments.along), float(moments.squared)
+        noise, cosine = math.sqrt(float(units.var(0).sum())), _jackknife(moments, _cosine)
+        has_signal = squared > MIN_SIGNAL_SHARE * float(units.mean(0).square().sum())
+        return cls(
+            scale=_jackknife(moments, lambda m: m.along),
+            cosine=Interval(min(max(cosine.value, -1.0), 1.0), cosine.margin),  # nan stays
+            bias=_jackknife(moments, _bias),
+            noise=noise / abs(scale) if scale else math.inf,
+            is_resolved=has_signal and cosine.margin <= MAX_COSINE_MARGIN,
+        )
+
+
+@dataclass(frozen=True)
+class _Moments:
+    """Component along the truth and squared length of the expectation, both unbiased."""
+
+    along: Tensor
+    squared: Tensor
+    without_one: tuple[Tensor, Tensor]  # the same [d], with one of the draws left out
+
+    @classmethod
+    def of(cls, units: Tensor, along: Tensor) -> _Moments:
+        count, total = len(units), units.sum(0)
+        lengths = units.square().sum(1)
+        # sum over pairs i != j of g_i * g_j is unbiased for the squared length of the expectation
+        pairs = total.square().sum() - lengths.sum()
+        pairs_without = pairs - 2 * (units @ total - lengths)
+        return cls(
+            along.mean(),
+            pairs / (count * (count - 1)),
+            (
+                (along.sum() - along) / (count - 1),
+                pairs_without / ((count - 1) * max(count - 2, 1)),
+            ),
+        )
+
+
+def _cosine(moments: _Moments) -> Tensor:
+    return moments.along / moments.squared.sqrt()  # outside [-1, 1] by noise; nan below 0
+
+
+def _bias(moments: _Moments) -> Tensor:
+    return (moments.squared - 2 * moments.along + 1).clamp_min(0).sqrt()
+
+
+def _jackknife(moments: _Moments, statistic: Callable[[_Moments], Tensor]) -> Interval:
+    along, squared = moments.without_one
+    values = statistic(_Moments(along, squared, moments.without_one))
+    count = len(values)
+    error = math.sqrt((count - 1) * float(values.var(correction=0)))
+    return Interval(float(statistic(moments)), Z95 * error)
 
 
 @dataclass(frozen=True)

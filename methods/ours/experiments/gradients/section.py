@@ -12,8 +12,8 @@ from methods.ours.experiments.gradients.estimators import (
     measure,
 )
 from methods.ours.experiments.gradients.exact_gradient import DENOISERS
-from methods.ours.experiments.gradients.ratio_saturation import (
-    RATIOS,
+from methods.ours.experiments.gradients.measure import (
+    RATIO_KINDS,
     SIDES,
     Saturation,
     measure_saturation,
@@ -61,7 +61,7 @@ def run_gradients(quick: bool) -> Iterator[CheckResult]:
             yield from judge_estimator(name, estimator, quick)
     sides = QUICK_SIDES if quick else SIDES
     measured = [saturation for side in sides for saturation in measure_saturation(side)]
-    for ratio in RATIOS:
+    for ratio in RATIO_KINDS:
         yield _judge_ratio(ratio, [s for s in measured if s.ratio == ratio])
 
 
