@@ -11,7 +11,7 @@ from collections.abc import Callable
 from dataclasses import asdict, replace
 from itertools import product
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any, Literal, NamedTuple
 
 import torch
 
@@ -49,6 +49,7 @@ from rlbench.system.documents import to_toml
 SURE, LIKELY = 0.1, 0.03  # leads over the next reading
 TO_PREVIOUS = MotionConvention().direction
 PERIODS = (8, 16, 32)  # of the jitter of engines
+Y_AXES: tuple[Literal["down", "up"], ...] = ("down", "up")
 MAX_JITTER_ERROR = 0.4  # of the jitter's change that a sequence does not explain
 MEANS = 0.35  # correlation of noise: half that of a sample with a mean that it is half of
 DEMODULATED = 0.5  # of the deviation from the reference that is left after a product with albedo
@@ -301,7 +302,7 @@ def _read_jitter(source: Path, tables: Tables) -> dict[str, str]:
     measured = torch.cat(changes)
     cameras = [
         Camera(jitter=f"halton {period}", first=first, scale=scale, y=y)
-        for period, scale, y in product(PERIODS, (1.0, -1.0), ("down", "up"))
+        for period, scale, y in product(PERIODS, (1.0, -1.0), Y_AXES)
         for first in range(period)
     ]
 
