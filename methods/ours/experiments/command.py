@@ -6,18 +6,20 @@ import argparse
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
-__all__ = ["make_parser"]
+__all__ = ["Options", "make_parser"]
+
+Options = Mapping[str, tuple[str | int | Path | bool, str]]  # defaults and lines of help
 
 
 def make_parser(
     program: str,
     description: str,
     examples: Sequence[str],
-    options: Mapping[str, tuple[str | int | Path | bool, str]],
+    options: Options,
 ) -> argparse.ArgumentParser:
     """A parser whose options have the type of their default; False makes a switch.
 
-    `options` are defaults and lines of help, `examples` the words behind the program.
+    `examples` are the words behind the program.
     """
     parser = argparse.ArgumentParser(
         prog=program,

@@ -17,7 +17,7 @@ from rich.progress import Progress
 from torch import nn
 
 from methods.ours import LATENT
-from methods.ours.experiments.command import make_parser
+from methods.ours.experiments.command import Options, make_parser
 from methods.ours.experiments.toy_evaluation import (
     TABLE,
     Evaluation,
@@ -187,7 +187,7 @@ EXAMPLES = (
     "--out docs",
     '--out /tmp/try --frames 500 --seeds 0 --learners "surrogate;reinforce"',
 )
-OPTIONS = {
+OPTIONS: Options = {
     "--out": (Path("docs"), "folder of the table"),
     "--frames": (1600, "frames of each training"),
     "--side": (32, "side of a frame, a multiple of 8 pixels"),

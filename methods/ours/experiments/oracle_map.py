@@ -23,7 +23,7 @@ from rich.progress import track
 from torch import Tensor, nn
 from torch.nn import functional as F
 
-from methods.ours.experiments.command import make_parser
+from methods.ours.experiments.command import Options, make_parser
 from methods.ours.history import RecurrentState
 from methods.ours.method import Ours, build
 from methods.ours.policy import BlockReinforce
@@ -139,7 +139,7 @@ def _psnr(problems: Sequence[FrameProblem], action: Float[Tensor, "n 1 h w"]) ->
 DESCRIPTION = """Optimise the density map of one frame of each clip on the frame's own error.
 Compare it with uniform samples and with the sampler's map, on other samples."""
 EXAMPLES = ("", "--spp 1,2 --steps 100 --out /tmp/oracle.csv")
-OPTIONS: dict[str, tuple[str | int | Path | bool, str]] = {
+OPTIONS: Options = {
     "--spp": ("1,2,4", "samples per pixel"),
     "--frame": (5, "index of the frame, counted from 0"),
     "--steps": (200, "optimiser steps of four actions each"),

@@ -17,7 +17,7 @@ from rich.progress import Progress
 from torch import nn
 
 from methods.ours import FAMILY, VARIANTS, Config
-from methods.ours.experiments.command import make_parser
+from methods.ours.experiments.command import Options, make_parser
 from methods.ours.initialization import wire_contrast
 from methods.ours.method import CARDS, Ours, assemble
 from methods.ours.networks import Networks, Sampler
@@ -198,7 +198,7 @@ EXAMPLES = (
     "--by rllib-appo --frames 200 --out /tmp/x",
     "--by rllib-appo --variant paper --one-policy",
 )
-OPTIONS: dict[str, tuple[str | int | Path | bool, str]] = {
+OPTIONS: Options = {
     "--by": ("reinforce", f"learner, one of: {', '.join([*LEARNERS, RLLIB_APPO])}"),
     "--variant": ("", "paper: train the sampler of ours/paper, and not that of ours"),
     "--one-policy": (
