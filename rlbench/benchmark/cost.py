@@ -1,8 +1,8 @@
 """The cost of a frame's samples and of its G-buffer, measured or published.
 
 `measured` is the time in the clip's header if the clip was rendered on this machine, else the time
-of this machine's own path tracer, measured once and cached. Any other name is a cost profile
-(`cost_profile`).
+of this machine's own path tracer, measured once and cached. Any other name is a cost profile:
+published times of a renderer, and of methods, on a named machine.
 """
 
 from __future__ import annotations
@@ -24,16 +24,14 @@ if TYPE_CHECKING:
     from rlbench.clips.stored import Header
 
 __all__ = [
-    "MEASURED",
+    "Cost",
     "CostError",
     "CostProfile",
     "ProfileTime",
-    "profile",
-    "profiles",
-    "FULL_FRAME",
-    "Cost",
     "Scatter",
     "measured",
+    "profile",
+    "profiles",
     "published",
     "tracing",
     "with_gbuffer",
@@ -43,6 +41,7 @@ MEASURED = "measured"  # the name of no profile: times of this machine
 PROFILES = Path(__file__).parent / "profiles"
 TABLES = ("scene_ms", "inference_ms")
 PAGE = "docs/how-to/charge-your-renderer.md has one to copy"
+MAX_SPREAD = 1.25  # p95 / p5 of the time of a sample; beyond it the machine was busy
 
 
 class CostError(RlbenchError, ValueError):
@@ -178,9 +177,6 @@ def _pixels(size: str) -> int:
 def _is_at_least(minimum: float, value: object) -> bool:
     """Is it a finite number of at least `minimum`?"""
     return isinstance(value, int | float) and minimum <= value < math.inf
-
-
-MAX_SPREAD = 1.25  # p95 / p5 of the time of a sample; beyond it the machine was busy
 
 
 class Scatter(NamedTuple):

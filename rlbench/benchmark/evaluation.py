@@ -40,12 +40,10 @@ from rlbench.run import FrameResult
 from rlbench.system import code_hash, provenance
 from rlbench.system.folder_lock import locked_folder
 
-__all__ = [
-    "EvaluationSummary",
-    "evaluate",
-    "EvaluatedMetric",
-    "select_metrics",
-]
+__all__ = ["EvaluatedMetric", "EvaluationSummary", "evaluate", "select_metrics"]
+
+SCORING = ("rlbench.benchmark.evaluation", "rlbench.benchmark.scoring")  # images to numbers
+OF_RUNS = "srgb"  # the convention in which a run scores
 
 
 @dataclass(frozen=True)
@@ -181,10 +179,6 @@ def _compare_frames(
         truth = make_ground_truth(metric, frame)
         compared = compare_frame(metric, result, truth, compared, kept.images.max_samples)
         yield result, compared
-
-
-SCORING = ("rlbench.benchmark.evaluation", "rlbench.benchmark.scoring")  # images to numbers
-OF_RUNS = "srgb"  # the convention in which a run scores
 
 
 class EvaluatedMetric(NamedTuple):

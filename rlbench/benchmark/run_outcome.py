@@ -16,10 +16,12 @@ from rlbench.benchmark.runner import RunSummary
 if TYPE_CHECKING:
     import pandas as pd
 
-__all__ = ["RunOutcome", "ScoreRow", "read_outcome", "RunVerdict", "RunWarning", "judge_run"]
+__all__ = ["RunOutcome", "RunWarning", "judge_run", "read_outcome"]
 
 HEADLINE = ("psnr", "psnr_debiased")
 TIMES = ("inference_ms", "frame_ms")
+NONFINITE = "nonfinite"  # metric that counts pixels with a NaN or infinite channel
+MAX_NAMES = 3  # cells that a sentence names
 
 
 @dataclass(frozen=True)
@@ -121,10 +123,6 @@ def _is_unreliable(rows: pd.DataFrame) -> pd.Series[bool]:
 
 def _number(value: float | None) -> float | None:
     return None if value is None or value != value else float(value)
-
-
-NONFINITE = "nonfinite"  # metric that counts pixels with a NaN or infinite channel
-MAX_NAMES = 3  # cells that a sentence names
 
 
 class RunWarning(UserWarning):

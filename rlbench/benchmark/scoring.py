@@ -1,4 +1,7 @@
-"""Rows of the results table from images; `time_rows` adds those of times."""
+"""Rows of scores from images, and the ground truth that cells of a clip share.
+
+`timing` adds the rows of times.
+"""
 
 from __future__ import annotations
 
@@ -23,13 +26,12 @@ from rlbench.sanitize import Repairs
 from rlbench.wrappers import TileMemory
 
 __all__ = [
-    "ClipWithTruth",
     "GroundTruthCache",
-    "buffers_of_truth",
-    "make_ground_truth",
     "add_counts",
+    "buffers_of_truth",
     "compare_frame",
     "count_rows",
+    "make_ground_truth",
     "refusal_row",
     "row_template",
     "score_clip",
@@ -38,6 +40,10 @@ __all__ = [
 ]
 
 MAX_PIXELS = 2**21  # of all frames of a clip that is kept: about 0.3 GB
+EVENTS = {"cut": "another shot begins", "light": "lights change"}
+COUNTED = "share of the pixels of all frames, pilot samples included"
+CEILING = "the clip's header: PSNR of the noise-free image against the reference"
+SKIPPED = "share of pixels kept from the last image, in tiles that did not change"
 
 
 def buffers_of_truth(metrics: Iterable[Any]) -> frozenset[str]:
@@ -103,13 +109,6 @@ class GroundTruthCache:
     def __reduce__(self) -> tuple[type[GroundTruthCache], tuple[Any]]:
         """A copy without what is kept."""
         return GroundTruthCache, (self._metric,)
-
-
-EVENTS = {"cut": "another shot begins", "light": "lights change"}
-
-COUNTED = "share of the pixels of all frames, pilot samples included"
-CEILING = "the clip's header: PSNR of the noise-free image against the reference"
-SKIPPED = "share of pixels kept from the last image, in tiles that did not change"
 
 
 def row_template(cell: Cell, run_id: str, code_hash: str, weights_hash: str) -> Row:
