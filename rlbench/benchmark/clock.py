@@ -143,7 +143,10 @@ class Stopwatch:
         if not is_adaptive:
             parts["allocate"] = processor["allocate"] = 0.0
         reading = FrameTime(
-            *(parts[name] for name in ("plan", "allocate", "denoise", "sample_fetch")),
+            plan=parts["plan"],
+            allocate=parts["allocate"],
+            denoise=parts["denoise"],
+            sample_fetch=parts["sample_fetch"],
             processor=sum(processor[name] for name in ("plan", "allocate", "denoise")),
             switches=switches - self._switches,
         )

@@ -221,7 +221,8 @@ def scene_facts() -> list[SceneFacts]:
 def _method_facts(row: Mapping[str, Any]) -> MethodFacts:
     name = str(row["name"])
     if "broken" in row:
-        return MethodFacts(name, name, *[""] * 4, False, "", None, Traits(), row["broken"])
+        unknown = "", "", "", "", False, "", None
+        return MethodFacts(name, name, *unknown, Traits(), row["broken"])
     variant = registry.get_variant(name)
     texts = {key: str(row[key]) for key in ("title", "question", "paper", "licence", "weights")}
     return MethodFacts(
