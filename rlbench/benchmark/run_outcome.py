@@ -196,7 +196,7 @@ def judge_run(summary: RunSummary, rows: pd.DataFrame) -> RunVerdict:
 
 
 def _pixels(size: str) -> int:
-    """The number of pixels of a size such as 192x192; 0 for the empty one of older results."""
+    """The number of pixels of a size such as 192x192; 0 for an empty one."""
     return math.prod(map(int, size.split("x"))) if size else 0
 
 
