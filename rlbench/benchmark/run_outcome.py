@@ -1,4 +1,7 @@
-"""What a run found, for people and for scripts: mean scores and times by row, and remarks."""
+"""What a run found, for people and for scripts: scores, times, remarks, and a verdict.
+
+A run ends here. The verdict says which cells failed, and which have images that are not finite.
+"""
 
 from __future__ import annotations
 
@@ -174,10 +177,11 @@ class RunVerdict:
             return "passed: no cell failed, all images are finite"
         faults = {
             "stopped by an error": self.failed,
-            "with images that are not finite": [each.cell for each in self.nonfinite],
+            "with images that are not finite": tuple(each.cell for each in self.nonfinite),
         }
-        parts = [f"{_count(cells)} {what} ({_names(cells)})" for what, cells in faults.items()]
-        parts = [part for part, cells in zip(parts, faults.values(), strict=True) if cells]
+        parts = [
+            f"{_count(cells)} {what} ({_names(cells)})" for what, cells in faults.items() if cells
+        ]
         return f"FAILED: {'; '.join(parts) or 'no cell has a number'}"
 
 
