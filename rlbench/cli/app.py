@@ -11,15 +11,12 @@ import typer
 from rlbench.cli import options
 from rlbench.cli.benchmark import run
 from rlbench.cli.cache import cache
-from rlbench.cli.card import card
 from rlbench.cli.clips import lint, render
 from rlbench.cli.command_group import Command, CommandGroup
 from rlbench.cli.compare import compare
 from rlbench.cli.crossval import crossval
 from rlbench.cli.decide import decide
-from rlbench.cli.download import download, pack
 from rlbench.cli.evaluate import evaluate
-from rlbench.cli.fingerprint import fingerprint
 from rlbench.cli.images import images
 from rlbench.cli.importing import import_
 from rlbench.cli.json_output import ChecksOutput, print_json
@@ -30,11 +27,9 @@ from rlbench.cli.reports import report
 from rlbench.cli.scenes import scenes
 from rlbench.cli.speed import speed
 from rlbench.cli.stress import stress
-from rlbench.cli.submit import submit
-from rlbench.cli.training import lr_find, replay, train
+from rlbench.cli.training import train
 from rlbench.cli.user_scene import render_scene
 from rlbench.cli.verbosity import set_verbosity
-from rlbench.cli.verify import verify
 from rlbench.cli.video import video
 from rlbench.cli.view import view
 
@@ -111,8 +106,6 @@ COMMANDS: dict[str, Callable[..., None]] = {
     "cache": cache,
     "render": render,
     "render-scene": render_scene,
-    "download": download,
-    "pack": pack,
     "scenes": scenes,
     "import": import_,
     "lint": lint,
@@ -120,10 +113,7 @@ COMMANDS: dict[str, Callable[..., None]] = {
     "check": check,
     "stress": stress,
     "speed": speed,
-    "fingerprint": fingerprint,
     "train": train,
-    "lr-find": lr_find,
-    "replay": replay,
     "crossval": crossval,
     "run": run,
     "evaluate": evaluate,
@@ -134,9 +124,6 @@ COMMANDS: dict[str, Callable[..., None]] = {
     "view": view,
     "video": video,
     "regress": regress,
-    "submit": submit,
-    "verify": verify,
-    "card": card,
 }
 for name, command in COMMANDS.items():
     app.command(name, cls=Command)(command)

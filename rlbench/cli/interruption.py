@@ -29,12 +29,10 @@ KEPT = {  # command: what an interrupted one leaves; None in place of a folder: 
     "crossval": "finished cells and the checkpoints of trainings are kept in {out}",
     "run": "finished cells are kept in {out}",
     "evaluate": "finished scores are kept in {out}",
-    "download": "complete clips are kept",
     "scenes": "complete files are kept",
-    "pack": "complete archives stay in {out}",
     "video": "complete videos are kept",
 }
-BEGINS_AGAIN = {"pack", "video"}  # commands of KEPT that use nothing of what is there
+BEGINS_AGAIN = {"video"}  # commands of KEPT that use nothing of what is there
 
 
 def what_is_kept(command: str, parameters: Mapping[str, Any]) -> str:

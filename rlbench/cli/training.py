@@ -1,4 +1,4 @@
-"""The commands train, lr-find and replay."""
+"""The command train."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from rlbench.training.config import TrainingConfig
     from rlbench.training.runs import TrainingRuns
 
-__all__ = ["lr_find", "replay", "train", "training_config", "training_runs"]
+__all__ = ["train", "training_config", "training_runs"]
 
 
 def train(
@@ -128,84 +128,6 @@ def train(
             typer.echo(f"{name}: the old run is now in {archived}")
         runs.train(name, split, holdout)
         typer.echo(f"{name}: {folder}")
-
-
-def lr_find(
-    methods: options.Methods = None,
-    plugin: options.Plugins = None,
-    frames: training_options.Frames = training_options.DEFAULT_FRAMES,
-    batch: training_options.Batch = 1,
-    crop: training_options.Crop = training_options.DEFAULT_CROP,
-    train_spp: training_options.TrainSpp = training_options.DEFAULT_SPP,
-    bf16: training_options.Bf16 = False,
-    max_grad_norm: training_options.MaxGradNorm = 1.0,
-    seed: training_options.Seed = 0,
-    preset: training_options.Preset = None,
-    seeds: options.SceneSeeds = None,
-    clips: training_options.Clips = None,
-    mix: training_options.Mix = None,
-    holdout: training_options.Holdout = None,
-    device: options.Device = "auto",
-    out: training_options.RunsFolder = Path("runs"),
-) -> None:
-    """Propose a learning rate by a range test.
-
-    Trains from the first weights while the learning rate grows, and writes range.csv and range.png
-    to NAME-range. Smith 2017.
-
-    Examples:
-
-    \b
-      rlbench lr-find -m ours --frames 1200
-      rlbench lr-find -m mine --plugin mine.py --frames 1200
-    """
-    load_plugins(plugin)
-    names = arguments.trainable_methods(arguments.require_methods(methods))  # before torch
-    from rlbench.system.disk import check_writable
-
-    check_writable(out)
-    config = training_config(frames, batch, crop, seed, max_grad_norm, bf16, train_spp)
-    config = replace(config, mix=training_clips.mix_share(mix, preset, seeds, clips))
-    runs = training_runs(out, config, device)
-    runs.check(names)
-    split = training_clips.select_split(names, preset, seeds, holdout, clips)
-    if clips:
-        runs.check_clips(names, split)
-    for name in names:
-        result = runs.find_learning_rate(name, split)
-        typer.echo(
-            f"{name}: proposed peak learning rate {result.suggested_lr:.1e}; see {result.figure}"
-        )
-
-
-def replay(
-    file: Annotated[
-        Path,
-        typer.Argument(
-            metavar="FILE",
-            exists=True,
-            dir_okay=False,
-            help="failed-sequence-N.safetensors of a run",
-        ),
-    ],
-    device: options.Device = "auto",
-    plugin: options.Plugins = None,
-) -> None:
-    """Repeat the training steps that stopped a run.
-
-    Says which layer gives values that are not finite. The run itself is unchanged.
-
-    Examples:
-
-    \b
-      rlbench replay runs/ours/failed-sequence-71.safetensors
-    """
-    load_plugins(plugin)
-    from rlbench.benchmark.api import select_device
-    from rlbench.training import replay_sequence
-
-    failure = replay_sequence(file, str(select_device(device)))
-    typer.echo(f"failed again: {failure}" if failure else "all values are finite on this machine")
 
 
 def training_config(

@@ -45,8 +45,8 @@ def read_metadata(path: Path) -> dict[str, Any]:
             return metadata
     except (OSError, SafetensorError, TypeError, LookupError, ValueError, RecursionError) as error:
         raise CheckpointError(
-            f"{path} is not a file written by a training run ({error!r}). Give a checkpoint or a "
-            "failed sequence from the folder of a run"
+            f"{path} is not a file written by a training run ({error!r}). Give a checkpoint "
+            "from the folder of a run"
         ) from error
 
 

@@ -11,7 +11,7 @@ import pytest
 
 from rlbench import registry
 from rlbench.training import LrRangeResult, TrainingConfig, find_learning_rate
-from rlbench.training.lr_range_test import LrPoint, _has_diverged, smooth_losses, suggest_lr
+from rlbench.training.lr_find import LrPoint, _has_diverged, smooth_losses, suggest_lr
 from tests.conftest import write_noise
 from tests.learning_plugin import write_learner
 

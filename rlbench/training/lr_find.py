@@ -1,10 +1,14 @@
-"""Learning-rate range test: train while the rate grows, and find where the loss is least."""
+"""Learning-rate range test: python -m rlbench.training.lr_find ours --frames 1200.
+
+It trains while the rate grows, and finds where the loss is least.
+"""
 
 from __future__ import annotations
 
+import argparse
 import csv
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import NamedTuple
@@ -13,9 +17,10 @@ import numpy as np
 
 from rlbench import registry
 from rlbench.system import paths
+from rlbench.training import dataset
 from rlbench.training.batches import Batches, sequence_budget
 from rlbench.training.config import TrainingConfig
-from rlbench.training.progress import Progress
+from rlbench.training.run_folder import run_folder
 from rlbench.training.task import TrainingTask
 from rlbench.training.train_state import NonFiniteStepError, TrainState
 
@@ -52,8 +57,6 @@ def find_learning_rate(
     out: Path,
     config: TrainingConfig,
     device: str = "cpu",
-    on_progress: Callable[[Progress, float], None] = lambda progress, loss: None,
-    mixed_in: Sequence[Path] = (),
 ) -> LrRangeResult:
     """Train a method from its initial weights over `config.frames`, at rates from 1e-6 to 1e-1.
 
@@ -61,8 +64,7 @@ def find_learning_rate(
     test ends early if the loss is not finite, or if the smoothed loss has risen by more than it had
     fallen before, and beyond its noise. That depends on differences alone, because the logarithm of
     a loss is negative, so that twice its minimum is below it. The suggested rate is a tenth of the
-    rate at which the smoothed loss is least. Writes range.csv and range.png to `out`. `on_progress`
-    is called with progress and loss after each sequence.
+    rate at which the smoothed loss is least. Writes range.csv and range.png to `out`.
 
     Smith 2017, Cyclical Learning Rates for Training Neural Networks, section 3.3. Differs from it:
     the rate grows geometrically, since it spans five decades, and the suggestion is a rule of
@@ -73,22 +75,20 @@ def find_learning_rate(
     """
     task: TrainingTask = registry.training_task(method, device, config.seed)
     state = TrainState(task, config, device)
-    batches = Batches.from_config(train_clips, config, task.method.traits, device, mixed_in)
+    batches = Batches.from_config(train_clips, config, task.method.traits, device)
     points: list[LrPoint] = []
-    progress = Progress()
-    while progress.frames_seen < config.frames and not _has_diverged(points):
-        fraction = progress.frames_seen / config.frames
+    frames_seen = 0
+    while frames_seen < config.frames and not _has_diverged(points):
+        fraction, index = frames_seen / config.frames, len(points)
         learning_rate = MIN_LR * (MAX_LR / MIN_LR) ** fraction
-        clip = batches.sequence(progress.sequences)
-        spp = sequence_budget(clip, config.spp or task.spp, config.seed, progress.sequences)
+        clip = batches.sequence(index)
+        spp = sequence_budget(clip, config.spp or task.spp, config.seed, index)
         try:
             loss = state.train_sequence(clip, spp, learning_rate / task.max_lr, fraction)
         except NonFiniteStepError:
             break
-        points.append(LrPoint(progress.frames_seen, learning_rate, loss))
-        progress.frames_seen += len(clip) * clip.size.n
-        progress.sequences += 1
-        on_progress(progress, loss)
+        points.append(LrPoint(frames_seen, learning_rate, loss))
+        frames_seen += len(clip) * clip.size.n
     suggested = suggest_lr(points)
     table, figure = _write_table(points, out), _plot(method, points, suggested, out)
     return LrRangeResult(tuple(points), suggested, table, figure)
@@ -150,3 +150,33 @@ def _plot(method: str, points: Sequence[LrPoint], suggested: float, out: Path) -
     with paths.atomic_write(file) as temporary:
         figure.savefig(temporary, format="png", dpi=150)
     return file
+
+
+def main(argv: Sequence[str] | None = None) -> str:
+    """What the test of the given command-line arguments proposes."""
+    parser = argparse.ArgumentParser("python -m rlbench.training.lr_find", description=__doc__)
+    parser.add_argument("method")
+    parser.add_argument("--plugin", type=Path, help="a Python file with the method")
+    parser.add_argument("--frames", type=int, default=1200, help="crops to train on")
+    parser.add_argument("--crop", type=int, default=128, help="side of a crop in pixels")
+    parser.add_argument("--bf16", action="store_true", help="bfloat16 forward pass")
+    parser.add_argument("--device", default="cpu")
+    parser.add_argument("--out", type=Path, default=Path("runs"), help="parent of NAME-range")
+    parser.add_argument(
+        "--clips", nargs="+", help="clip folders; default: those of preset train, rendered first"
+    )
+    options = parser.parse_args(argv)
+    if options.plugin:
+        registry.use_plugin(options.plugin)
+    pool = registry.get_variant(options.method).traits.pool
+    clips = dataset.select_split(None, None, None, {pool}, clips=options.clips or ()).train
+    config = TrainingConfig(options.frames, crop=options.crop, bf16=options.bf16)
+    folder = run_folder(options.out, options.method, suffix="-range")
+    result = find_learning_rate(options.method, clips, folder, config, options.device)
+    return f"proposed peak learning rate {result.suggested_lr:.1e}; see {result.figure}"
+
+
+if __name__ == "__main__":
+    import sys
+
+    sys.stdout.write(main() + "\n")
