@@ -43,13 +43,12 @@ if TYPE_CHECKING:
 
 __all__ = [
     "check_precision",
+    "check_run",
     "render_clips",
     "report",
     "run",
     "select_clips",
     "select_device",
-    "check_budgets",
-    "check_run",
 ]
 
 RESULTS = Path("results")
