@@ -10,8 +10,16 @@ from pathlib import Path
 
 import pytest
 
+from reports.analysis.differences import (
+    HOLM_MARK,
+    LEADS,
+    NOT_RESOLVED,
+    TIE,
+    TIE_DB,
+    TRAILS,
+    name_verdict,
+)
 from reports.analysis.intervals import Interval
-from reports.analysis.differences import HOLM_MARK, LEADS, NOT_RESOLVED, TIE, TIE_DB, TRAILS, name_verdict
 
 ROOT = Path(__file__).parents[1]
 RESULTS = ROOT / "docs" / "results"
