@@ -68,7 +68,7 @@ def read_planes(path: Path, header: ExrHeader, names: Sequence[str]) -> list[NDA
     """
     if header.is_deep:
         raise DeepImageError
-    if not header.name:
+    if not header.is_part:
         packed = OpenEXR.InputFile(str(path)).channels(list(names))
         dtypes = [DTYPES[header.channels[name].pixel_type] for name in names]
         return [

@@ -93,7 +93,8 @@ class ExrHeader:
     channels: dict[str, Channel]  # by name, sorted
     data_window: Window  # of the pixels in the file
     display_window: Window  # of the image
-    name: str = ""  # of a part of a multi-part file
+    is_part: bool = False  # of a multi-part file
+    name: str = ""  # of the part
     is_deep: bool = False
 
     @property
@@ -147,7 +148,7 @@ def read_exr_parts(path: Path) -> list[ExrHeader]:
             name = _text(attributes["name"])
             if name in (each.name for each in headers):
                 raise ExrHeaderError(f"it has two parts named '{name}'")
-            headers.append(replace(header, name=name, is_deep=bool(kind & DEEP)))
+            headers.append(replace(header, is_part=True, name=name, is_deep=bool(kind & DEEP)))
         return headers
 
 

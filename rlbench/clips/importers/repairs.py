@@ -48,8 +48,9 @@ class Findings:
         for kind, count in found.items():
             verb, _, name = kind.partition(" ")
             if verb == "broken":
+                instead = "point outside the image" if name == "motion" else "became background"
                 lines.append(
-                    f"{count} pixels of {name} are NaN or infinite, and became background, "
+                    f"{count} pixels of {name} are NaN or infinite, and {instead}, "
                     f"{self.places[kind]}; --sanitize takes the {name} of a neighbour"
                 )
             elif verb == "repaired":
