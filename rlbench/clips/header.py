@@ -29,6 +29,7 @@ __all__ = [
 VERSION = 2  # of the format
 FILE = "clip.toml"
 MAX_FILE_BYTES = 2**24  # of clip.toml
+MAX_JITTER = 2.0  # pixels, of the samples' offset
 STANDARD_BUFFERS = {"albedo": 3, "normal": 3, "depth": 1, "motion": 2}  # channels of each
 OPTIONAL_BUFFERS = {  # channels of the buffers that only some clips have
     "object": 1,
@@ -52,6 +53,7 @@ LIMITATIONS = {  # what an imported clip may not have, although the format requi
         f"no {name}": f"the source has no {name}, so {name} is a constant without information"
         for name in STANDARD_BUFFERS
     },
+    "reference jitter": "the reference is moved within the pixel as the samples are, so it shakes",
     "sky motion": "the source has no motion of the sky, so it points outside the image",
     "flow": "motion was estimated by optical flow of albedo, because the source has none",
 }
@@ -98,6 +100,8 @@ class Header:
         missing_files: files of the scene that did not exist, so their shapes or textures are left
             out.
         static: neither camera nor objects move; such a clip has no motion buffer.
+        jitter: offset of the samples of each frame from the centre of a pixel, pixels, x right, y
+            down; empty where the camera is not jittered. Motion is without it.
         cuts: frames that begin a new shot, from 1 to `frames - 1`; all their motion points outside
             the image.
         light_changes: frames from which on the lights differ from those of the frame before, from 1
@@ -136,6 +140,7 @@ class Header:
     limitations: tuple[str, ...] = ()
     missing_files: tuple[str, ...] = ()
     static: bool = False
+    jitter: tuple[tuple[float, float], ...] = ()
     cuts: tuple[int, ...] = ()
     light_changes: tuple[int, ...] = ()
     licence: str = ""
@@ -164,6 +169,7 @@ class Header:
         expected = {
             "reference_spp": ("frames", {self.frames}),
             "noise_ceiling_db": ("frames", {0, self.frames}),
+            "jitter": ("frames", {0, self.frames}),
             "pools_ms": ("pools", {0, len(self.pools)}),
         }
         for key, (items, counts) in expected.items():
@@ -180,6 +186,10 @@ class Header:
             )
 
     def _check_events(self) -> None:
+        if any(not abs(value) <= MAX_JITTER for offset in self.jitter for value in offset):
+            raise ClipError(
+                f"clip '{self.name}': jitter is outside -{MAX_JITTER:g} to {MAX_JITTER:g} pixels"
+            )
         if self.cuts and (self.static or not set(self.cuts) <= set(range(1, self.frames))):
             raise ClipError(
                 f"clip '{self.name}': cuts are {list(self.cuts)}; expected frames from 1 to "
@@ -237,6 +247,8 @@ def write_header(folder: Path, header: Header) -> None:
     values = {field.name: getattr(header, field.name) for field in fields(Header)}
     if not header.missing_files:
         del values["missing_files"]  # only a scene by others may lack files
+    if not header.jitter:
+        del values["jitter"]  # only an engine's camera is jittered
     write_toml(folder / FILE, {"version": VERSION} | values)
 
 

@@ -113,8 +113,8 @@ MAX_FRAMES = 4
 MAX_SAMPLES = 2  # enough for what is read from them
 
 
-def import_arrays(source: Path, layout: Layout) -> ClipArrays:
-    """Up to 4 frames of the first clip of a dump, with the buffers that it has.
+def import_arrays(source: Path, layout: Layout, start: int = 0) -> ClipArrays:
+    """Up to 4 frames of the first clip of a dump from `start` on, with the buffers that it has.
 
     Raises SourceError where the layout does not fit, or no file of radiance matches.
     """
@@ -123,7 +123,9 @@ def import_arrays(source: Path, layout: Layout) -> ClipArrays:
         raise SourceError(f"{source}: no file matches {' or '.join(layout.radiance.patterns)}")
     sequence = sequences[0]
     count = min(MAX_SAMPLES, *sequence.counts)
-    frames = [sequence.read(number, count) for number in sequence.numbers[:MAX_FRAMES]]
+    frames = [
+        sequence.read(number, count) for number in sequence.numbers[start : start + MAX_FRAMES]
+    ]
     gbuffer = {name: _stack([frame.gbuffer[name] for frame in frames]) for name in sequence.buffers}
     header = writer.clip_header(sequence, min(sequence.counts))
     pools = {"path": _stack([frame.pool for frame in frames])}

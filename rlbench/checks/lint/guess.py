@@ -8,9 +8,12 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import replace
+from dataclasses import asdict, replace
+from itertools import product
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any, Literal, NamedTuple
+
+import torch
 
 from rlbench.checks.lint.checks import fit_depth
 from rlbench.checks.lint.clip_arrays import ClipArrays, import_arrays
@@ -24,6 +27,7 @@ from rlbench.checks.lint.edges import (
     misoriented,
 )
 from rlbench.checks.lint.geometry import VIEW_DEPTH, check_depth, check_normals
+from rlbench.checks.lint.jitter import find_jitter_fault, frame_disagreements
 from rlbench.checks.lint.motion import (
     DIRECTIONS,
     MARGIN_OPPOSITE,
@@ -36,7 +40,8 @@ from rlbench.checks.lint.motion import (
 from rlbench.checks.lint.radiance import correlate, local_mean
 from rlbench.checks.result import Verdict
 from rlbench.clips.importers.file_pattern import match_pattern
-from rlbench.clips.importers.layout import Layout, decode_layout, read_layout, ready_layouts
+from rlbench.clips.importers.jitter import read_offsets
+from rlbench.clips.importers.layout import Camera, Layout, decode_layout, read_layout, ready_layouts
 from rlbench.clips.importers.limits import list_files
 from rlbench.clips.importers.sequence import SourceError
 from rlbench.system.documents import to_toml
@@ -44,6 +49,9 @@ from rlbench.system.documents import to_toml
 SURE, LIKELY = 0.1, 0.03  # leads over the next reading
 TO_PREVIOUS = MotionConvention().direction
 MIN_EDGES = 16  # pixels of partial alpha that decide how colours are stored
+PERIODS = (8, 16, 32)  # of the jitter of engines
+Y_AXES: tuple[Literal["down", "up"], ...] = ("down", "up")
+MAX_JITTER_ERROR = 0.4  # of the jitter's change that a sequence does not explain
 MEANS = 0.35  # correlation of noise: half that of a sample with a mean that it is half of
 DEMODULATED = 0.5  # of the deviation from the reference that is left after a product with albedo
 FLIPS = {
@@ -120,6 +128,8 @@ def guess_layout(source: Path) -> Guess:
         arrays = import_arrays(source, decode_layout(tables, "guess"))
         for name, reason in step(arrays, tables).items():
             reasons[name] += f"; {reason}"
+    for name, reason in _read_jitter(source, tables).items():
+        reasons[name] = f"{reasons[name]}; {reason}" if name in reasons else reason
     if emission and tables["radiance"].get("demodulated"):  # other radiance holds it already
         tables["emission"] = emission
         reasons["emission"] = "by its names; added, because a product with albedo lacks it"
@@ -318,6 +328,46 @@ def _read_motion(arrays: ClipArrays, tables: Tables) -> dict[str, str]:
         f"between frames, next best {format_share(next_share)} as {other}"
     )
     return {"motion": "; ".join(reasons)}
+
+
+def _read_jitter(source: Path, tables: Tables) -> dict[str, str]:
+    """Does motion contain the camera's jitter, and that of which Halton sequence?"""
+    layout = decode_layout(tables, "guess")
+    arrays = import_arrays(source, layout)
+    if "motion" not in arrays.gbuffer or not find_jitter_fault(arrays):
+        return {}
+    indices, changes = [], []
+    for start in (0, *(period - 1 for period in PERIODS if arrays.header.frames > period)):
+        part = import_arrays(source, layout, start) if start else arrays
+        found, _ = frame_disagreements(part, list(range(1, len(part))))
+        indices += [start + t for t in range(1, len(part))]
+        changes += [-found]
+    measured = torch.cat(changes)
+    cameras = [
+        Camera(jitter=f"halton {period}", first=first, scale=scale, y=y)
+        for period, scale, y in product(PERIODS, (1.0, -1.0), Y_AXES)
+        for first in range(period)
+    ]
+
+    def error(camera: Camera) -> float:
+        offset = read_offsets(camera, source)
+        expected = [[a - b for a, b in zip(offset(i), offset(i - 1), strict=True)] for i in indices]
+        return float((measured - torch.tensor(expected)).norm() / measured.norm())
+
+    best = min(cameras, key=error)
+    if (left := error(best)) > MAX_JITTER_ERROR:
+        return {
+            "motion": "unsure: it seems to contain the jitter of the camera, of no Halton sequence "
+            "of bases 2 and 3; write jittered = true, and [camera] with jitter = a file of offsets"
+        }
+    tables["motion"]["jittered"] = True
+    tables["camera"] = {
+        key: value for key, value in asdict(best).items() if value != getattr(Camera, key, None)
+    }
+    reason = (
+        f"likely: motion differs by the change of this jitter from the reference, within {left:.0%}"
+    )
+    return {"motion": "likely: contains the jitter of [camera]", "camera": reason}
 
 
 def _opposite(convention: MotionConvention) -> MotionConvention:

@@ -15,6 +15,7 @@ from jaxtyping import Bool, Float
 from torch import Tensor
 
 from rlbench.checks.lint.clip_arrays import ClipArrays
+from rlbench.checks.lint.jitter import REMEDY, find_jitter_fault
 from rlbench.checks.result import CheckResult, failed, passed, warning
 from rlbench.clips.importers.sky import judge_sky
 from rlbench.ops.reprojection import reproject
@@ -201,6 +202,8 @@ def check_motion(arrays: ClipArrays) -> CheckResult:
             f"{format_share(stored)} as {FORMAT_V1}"
         )
         return failed(CHECK, found, f"convert it from {rival}")
+    if fault := find_jitter_fault(arrays):
+        return failed(CHECK, fault, REMEDY)
     if stored < MIN_EXPLAINED:
         explained = format_share(stored)
         found = f"explains {explained} of the change between frames; no other convention fits"

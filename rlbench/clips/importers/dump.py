@@ -17,6 +17,7 @@ from rlbench.clips.importers.dump_frame import (
     read_frame,
 )
 from rlbench.clips.importers.file_pattern import FileKey, SignReader
+from rlbench.clips.importers.jitter import remove_jitter
 from rlbench.clips.importers.layout import Layout
 from rlbench.clips.importers.sequence import (
     ImportedSequence,
@@ -128,7 +129,7 @@ def _sequence(
         convention=repr(layout),
         notes=tuple(_absence(layout, image) for image in found.absent),
     )
-    return add_stand_ins(sequence, layout.missing_motion)
+    return remove_jitter(add_stand_ins(sequence, layout.missing_motion), layout, source)
 
 
 def _select(name: str, numbered: Mapping[int, Mapping[str, Files]], layout: Layout) -> _Selection:

@@ -61,9 +61,13 @@ class Radiance(Image):
 
 @dataclass(frozen=True, kw_only=True)
 class Reference(Image):
-    """The converged image. `spp` is that of both halves together; 0: from the name, or unknown."""
+    """The converged image. `spp` is that of both halves together; 0: from the name, or unknown.
+
+    `jittered`: it is moved within the pixel as the samples are.
+    """
 
     spp: int = 0
+    jittered: bool = False
     encoding: Curve = "linear"
     alpha: Alpha = "premultiplied"
     demodulated: bool = False
@@ -114,6 +118,7 @@ class Motion(Image):
     """Motion vectors: (stored - offset) * scale in `unit`, at the pixels of the frame they are in.
 
     "from previous" is the negative of "to previous". "to next" points into the next frame.
+    `jittered` vectors contain the difference of the camera's jitter, which is taken out.
 
     `sky` says whose motion background has: its own ("stored"), that of a turning camera, or an
     "unknown" one, which points outside; "auto" takes its own unless it is 0 while surfaces move.
@@ -127,10 +132,31 @@ class Motion(Image):
     points: Literal["to previous", "from previous", "to next", "from next"] = "to previous"
     scale: float = 1.0
     offset: float = 0.0
+    jittered: bool = False
     sky: Literal["auto", "stored", "unknown"] = "auto"
     camera: str = ""
     fov: float | None = None
     camera_axes: tuple[str, str, str] = ("x", "-y", "-z")
+
+
+@dataclass(frozen=True, kw_only=True)
+class Camera:
+    """How the camera moves within a pixel from frame to frame, for antialiasing over time.
+
+    `jitter` is "halton PERIOD", of bases 2 and 3 minus 0.5, or a text file below the dump with x
+    and y of each frame on a line. They say where the samples of a pixel are, from its centre, in
+    pixels times `scale`, x right; `first` is the entry of the first frame, from 0 on.
+    """
+
+    jitter: str
+    first: int = 0
+    scale: float = 1.0
+    y: Literal["down", "up"] = "down"
+
+    @property
+    def files(self) -> tuple[str, ...]:
+        """The file of offsets, if there is one."""
+        return () if self.jitter.strip().lower().startswith("halton ") else (self.jitter,)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -150,6 +176,7 @@ class Layout:
     normal: Normal | None = None
     depth: Depth | None = None
     motion: Motion | None = None
+    camera: Camera | None = None
     missing_motion: Literal["zero", "flow"] = "zero"
     exposure: float | Literal["auto"] = "auto"
     frames_per_second: float = 24.0
@@ -166,7 +193,8 @@ class Layout:
     def other_files(self) -> tuple[str, ...]:
         """Files below the dump that are no images."""
         cameras = (image.camera for image in (self.normal, self.motion) if image)
-        return tuple(dict.fromkeys(camera for camera in cameras if camera))
+        offsets = self.camera.files if self.camera else ()
+        return tuple(dict.fromkeys(name for name in (*cameras, *offsets) if name))
 
 
 def ready_layouts() -> dict[str, Path]:

@@ -61,6 +61,7 @@ class ImportedSequence:
     limitations: tuple[str, ...]  # keys of `rlbench.clips.header.LIMITATIONS`
     files: tuple[Path, ...]  # all files that are read
     read: Callable[[int, int], ImportedFrame]  # reads (frame number, samples per pixel)
+    jitter: tuple[tuple[float, float], ...] = ()  # offset of the samples of each frame, pixels
     fps: float = 24.0  # frames per second
     exposure: float | None = None  # that suits the source; None: from its luminance
     convention: str = ""  # what else decides the frames, for telling one import from another

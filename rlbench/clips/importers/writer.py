@@ -48,6 +48,7 @@ def clip_header(sequence: ImportedSequence, samples: int | None, exposure: float
         exposure=exposure,
         pool_spp=min(requested, fewest),
         reference_spp=sequence.reference_spp,
+        jitter=sequence.jitter,
         buffers=sequence.buffers,
         limitations=sequence.limitations,
     )
