@@ -11,7 +11,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from rlbench.clips.header_limits import LIMITS, is_plain_name
+from rlbench.clips.header import LIMITS, is_plain_name
 from rlbench.errors import RlbenchError
 
 __all__ = [
