@@ -116,19 +116,13 @@ def read_frame(
         _modulate(decode_curve(image, layout.reference.encoding), layout.reference, gbuffer)
         for image in reader.read_all("reference", 2)
     ]
-    if "depth" in gbuffer:  # what a sky has in place of a normal or of motion is no damage
-        surface = np.isfinite(gbuffer["depth"])
-        if "depth" in reader.broken:
-            surface |= reader.broken["depth"]
-        for name, mask in reader.broken.items():
-            reader.broken[name] = np.asarray(mask & surface)
     files = {name: reader.files.images[name] for name in ("radiance", "reference")}
     return ImportedFrame(
         gbuffer=gbuffer,
         pool=pool,
         half_a=halves[0],
         half_b=halves[len(halves) == 2],
-        broken=reader.broken,
+        broken=reader.broken_surfaces(gbuffer.get("depth")),
         empty=reader.empty,
         files=files,
         counts=reader.counts,
@@ -155,11 +149,20 @@ class _Reader:
         """A buffer, or None where there is none. Raises SourceError."""
         for stored in self.read_all(name, 1):
             is_broken = np.isnan if name == "depth" else lambda values: ~np.isfinite(values)
-            mask = is_broken(stored).any(-1, keepdims=True)
+            mask = np.asarray(is_broken(stored).any(-1, keepdims=True))
             if mask.any() and not (name == "motion" and _is_onward(self.layout)):
                 self.broken[name] = mask
             return stored
         return None
+
+    def broken_surfaces(self, depth: Pixels | None) -> dict[str, NDArray[np.bool_]]:
+        """Where surfaces are broken: what a sky has in place of a normal or of motion is not."""
+        if depth is None:
+            return self.broken
+        surface = np.isfinite(depth)
+        if "depth" in self.broken:
+            surface |= self.broken["depth"]
+        return {name: np.asarray(mask & surface) for name, mask in self.broken.items()}
 
     def _read(self, name: str, path: Path, channels: Channels) -> Pixels:
         image = self.layout.images[name]
