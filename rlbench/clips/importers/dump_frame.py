@@ -116,7 +116,6 @@ def read_frame(
         _modulate(decode_curve(image, layout.reference.encoding), layout.reference, gbuffer)
         for image in reader.read_all("reference", 2)
     ]
-    files = {name: reader.files.images[name] for name in ("radiance", "reference")}
     return ImportedFrame(
         gbuffer=gbuffer,
         pool=pool,
@@ -124,7 +123,7 @@ def read_frame(
         half_b=halves[len(halves) == 2],
         broken=reader.broken_surfaces(gbuffer.get("depth")),
         empty=reader.empty,
-        files=files,
+        files=reader.nonfinite_files,
         counts=reader.counts,
     )
 
@@ -139,6 +138,7 @@ class _Reader:
     counts: Counter[str] = field(default_factory=Counter)
     broken: dict[str, NDArray[np.bool_]] = field(default_factory=dict)
     empty: dict[str, NDArray[np.bool_]] = field(default_factory=dict)
+    nonfinite_files: dict[str, Path] = field(default_factory=dict)
 
     def read_all(self, name: str, most: int) -> list[Pixels]:
         """The first images of a kind; empty where there is none. Raises SourceError."""
@@ -170,6 +170,8 @@ class _Reader:
         fill = {"depth": np.inf, "motion": getattr(image, "offset", 0)}.get(name, 0)
         pixels, empty, cut = read_exr_image(path, channels, fill)
         limits.check_same_size(path, pixels.shape[:2], self.size)
+        if not np.isfinite(pixels).all():
+            self.nonfinite_files.setdefault(name, path)
         for kind, count in (("empty", int(empty.sum())), ("cut", cut)):
             self.counts[f"{kind} pixels"] += count
             self.counts[f"{kind} images"] += count > 0

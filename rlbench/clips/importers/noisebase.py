@@ -142,7 +142,7 @@ def _read(
         "depth": np.where(hit, depth[..., None], np.inf),
         "motion": motion,
     }
-    files = dict.fromkeys(("radiance", "reference", *gbuffer), [paths[number]])
+    files = dict.fromkeys(("radiance", "reference", *gbuffer), paths[number])
     return ImportedFrame(gbuffer, pool, reference, reference, files=files)
 
 
