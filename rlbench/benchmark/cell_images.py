@@ -26,8 +26,7 @@ from rlbench.benchmark import results
 from rlbench.benchmark.cell_key import CellId, CellKey
 from rlbench.benchmark.clip_sources import StoredSource
 from rlbench.benchmark.results import RowName
-from rlbench.clips.exr import read_planes, write_exr
-from rlbench.clips.exr_header import read_exr_header
+from rlbench.clips.exr import read_exr_header, read_planes, write_exr
 from rlbench.clips.header import Header
 from rlbench.errors import RlbenchError
 from rlbench.run import FrameResult

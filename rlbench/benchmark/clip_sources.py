@@ -12,8 +12,8 @@ from pathlib import Path
 
 import torch
 
+from rlbench.clips.in_memory import ClipWrapper
 from rlbench.clips.stored import Header, open_clip, read_header
-from rlbench.clips.wrapper import ClipWrapper
 from rlbench.family import Traits
 from rlbench.frames import Clip, Frame
 from rlbench.render.jobs.live_pool import open_live_clip, scene_of_folder

@@ -18,7 +18,7 @@ from rlbench import registry
 from rlbench.benchmark.results import COUNT_PREFIX, EVENT_PREFIX, NOISE_CEILING, WHOLE_CLIP, Row
 from rlbench.benchmark.run_plan import Cell
 from rlbench.clips.header import LIMITATIONS, Header
-from rlbench.clips.wrapper import ClipWrapper
+from rlbench.clips.in_memory import ClipWrapper
 from rlbench.frames import Clip, Frame
 from rlbench.ops.sanitize import sanitize_motion
 from rlbench.run import FrameResult
