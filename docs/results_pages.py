@@ -87,7 +87,7 @@ def _scores(folders: list[Path]) -> list[PresetScores]:
         baseline = load_baseline(find_baseline(name))
         errors = {e.key: e.stderr_db for e in baseline.entries if e.stderr_db is not None}
         parts += preset_scores(to_table(baseline), BASELINE_SOURCE, errors)
-    return sorted(parts, key=lambda each: (each.preset, each.device))
+    return sorted(parts, key=lambda each: (each.preset, each.scores.device))
 
 
 def _pictures() -> dict[str, tuple[str, bytes]]:

@@ -63,7 +63,7 @@ def test_packages_are_those_of_this_checkout():
         ),
         pytest.param(
             r"integrator\.sample\(|mi\.render\(",
-            ("rlbench/render/mitsuba/wavefront.py", "rlbench/render/mitsuba/scalar.py"),
+            ("rlbench/render/mitsuba/open_tracer.py",),
             id="light is traced in one place",
         ),
         pytest.param(r"\A(?!\"\"\"[^\n]*\S)", (), id="a module begins with what it is"),

@@ -185,11 +185,11 @@ class LightHistory(NamedTuple):
     def empty(cls, size: Size, features: int, device: torch.device, weighted: bool) -> LightHistory:
         """No history, with so many channels of features."""
         images = (torch.zeros(size.n, c, size.h, size.w, device=device) for c in (3, 3, features))
-        return cls(*images, age=0, memory=empty_memory(size, device) if weighted else None)
+        return cls._make((*images, 0, empty_memory(size, device) if weighted else None))
 
     def detach(self) -> LightHistory:
         """The same state without the autograd graph."""
-        return LightHistory(*(image.detach() for image in self[:3]), self.age, self.memory)
+        return LightHistory._make((*(image.detach() for image in self[:3]), *self[3:]))
 
     def reproject(
         self, gbuffer: GBuffer, samples: Samples
@@ -215,4 +215,4 @@ class LightHistory(NamedTuple):
             image, _ = reproject_image(denoised, gbuffer.motion)
             moved = torch.cat((light, image, reproject(features, gbuffer.motion)[0]), 1)
         parts = moved.where(weight > 0, 0.0).split_with_sizes(channels, 1)
-        return LightHistory(*parts, self.age, memory), weight
+        return LightHistory._make((*parts, self.age, memory)), weight

@@ -46,9 +46,7 @@ class SampledFrame(NamedTuple):
     samples: Samples
     history: ReprojectedHistory
     latent: Float[Tensor, "n s h w"]
-    trust: Float[
-        Tensor, "n _ h w"
-    ]  # in accumulated radiance, in [0, 1], if the encoder predicts it
+    trust: Float[Tensor, "n _ h w"]  # in accumulated radiance, in [0, 1]; by the encoder
 
 
 @dataclass(frozen=True)

@@ -10,7 +10,14 @@ from typing import TYPE_CHECKING, Any
 
 from reports.layout.tables import UNRELIABLE_MARK
 from reports.site.markdown import escape, front_matter, link, method_path, table
-from reports.site.pages import method_page, paper_links, scene_page, scene_path
+from reports.site.pages import (
+    board_link,
+    leaderboard_path,
+    method_page,
+    paper_links,
+    scene_page,
+    scene_path,
+)
 from reports.site.preset_scores import PresetScores
 from reports.viewer.data import provenance
 from reports.viewer.page import to_json
@@ -20,6 +27,9 @@ if TYPE_CHECKING:
 
 
 HOME, METHODS, SCENES = "leaderboard/index.md", "methods/index.md", "scenes/index.md"
+ASSETS = "leaderboard/assets"  # folder of modules and style, in the documents
+VIEWER = ("dom.js", "state.js", "data.js", "copy.js", "table_rows.js", "table_view.js")
+OWN = ("leaderboard.js", "leaderboard.css")
 
 
 def build_pages(
@@ -40,7 +50,12 @@ def build_pages(
     families = {key: list(rows) for key, rows in groupby(working, lambda each: each.family)}
     links, known = paper_links(), frozenset(by_name)
     pages: dict[str, str] = dict(modules())
-    boards = _leaderboards(scores, by_name, report, pages)
+    boards = {}
+    for preset, group in groupby(scores, lambda each: each.preset):
+        own, path = list(group), leaderboard_path(preset)
+        pages[path] = leaderboard_page(own, by_name, report)
+        pages[path.removesuffix(".md") + ".json"] = leaderboard_data(own, by_name)
+        boards[preset] = path
     for method in working:
         captions = {
             path: f"{', '.join(names)}: images, errors and samples"
@@ -56,23 +71,6 @@ def build_pages(
     pages[SCENES] = _scenes_home(scenes, pictures or {})
     pages[HOME] = _home(scores, len(working), len(scenes))
     return pages, _navigation(boards, families, scenes)
-
-
-def _leaderboards(
-    scores: Sequence[PresetScores],
-    methods: Mapping[str, MethodFacts],
-    report: str,
-    pages: dict[str, str],
-) -> dict[str, str]:
-    """Add the page and the data of each preset; returns the paths of the pages by preset."""
-    boards = {}
-    for preset, group in groupby(scores, lambda each: each.preset):
-        own = list(group)
-        path = leaderboard_path(preset)
-        pages[path] = leaderboard_page(own, methods, report)
-        pages[path.removesuffix(".md") + ".json"] = leaderboard_data(own, methods)
-        boards[preset] = path
-    return boards
 
 
 def _navigation(
@@ -99,7 +97,7 @@ def _home(scores: Sequence[PresetScores], methods: int, scenes: int) -> str:
             for record in each.records
             if record["best"] and (record["scene"], record["target_spp"]) == (each.whole, spp)
         ]
-        name = link(each.preset or "clips", leaderboard_path(each.preset), HOME)
+        name = board_link(each, HOME, "clips")
         rows.append((name, str(len(each.methods)), str(len(each.scenes)), escape("; ".join(best))))
     return (
         front_matter("Leaderboard")
@@ -116,12 +114,8 @@ def _methods_home(families: Mapping[str, Sequence[MethodFacts]]) -> str:
     parts = [front_matter("Methods"), "# Methods\n"]
     for family, rows in families.items():
         lines = [
-            (
-                link(escape(row.name), method_path(row.name), METHODS),
-                escape(row.question),
-                _kind(row),
-            )
-            for row in rows
+            (link(escape(r.name), method_path(r.name), METHODS), escape(r.question), _kind(r))
+            for r in rows
         ]
         head = ("row", "question", "kind")
         parts += [f"## {family}\n", f"{escape(rows[0].paper)}\n", table(head, lines, False)]
@@ -145,16 +139,6 @@ def _scenes_home(scenes: Sequence[SceneFacts], pictures: Mapping[str, str]) -> s
     return "\n".join(parts)
 
 
-ASSETS = "leaderboard/assets"  # folder of modules and style, in the documents
-VIEWER = ("dom.js", "state.js", "data.js", "copy.js", "table_rows.js", "table_view.js")
-OWN = ("leaderboard.js", "leaderboard.css")
-
-
-def leaderboard_path(preset: str) -> str:
-    """The page of a preset; clips of no preset have a page too."""
-    return f"leaderboard/{preset or 'clips'}.md"
-
-
 def modules() -> dict[str, str]:
     """The modules of the table, which are those of the viewer, and the style, by path."""
     viewer, own = files("reports.viewer") / "assets", files("reports.site") / "assets"
@@ -166,9 +150,9 @@ def leaderboard_data(scores: Sequence[PresetScores], methods: Mapping[str, Metho
     """The data of a preset's table as JSON; `scores` are those of its devices."""
     names = sorted({name for each in scores for name in each.methods})
     data = {
-        "devices": [{"name": each.device, "table": each.table} for each in scores],
+        "devices": [{"name": each.scores.device, "table": each.table} for each in scores],
         "unreliable_mark": UNRELIABLE_MARK,
-        "provenance": {n: p for each in scores for n, p in provenance(each.rows).items()},
+        "provenance": {n: p for each in scores for n, p in provenance(each.scores.rows).items()},
         "traits": {name: _traits(methods[name]) for name in names if name in methods},
         "maps": {},
     }

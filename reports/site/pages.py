@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import tomllib
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -17,12 +18,16 @@ if TYPE_CHECKING:
 
 MAX_SCENES = 8  # of a preset whose scenes have columns of their own
 PAPERS = Path(__file__).parent / "papers.toml"
+STANDS_IN_FOR = {  # the scenes of Scardigli et al. 2023
+    "city": "Emerald Square: an outdoor square with foliage, sun and sky",
+    "temple": "SunTemple: an interior lit through narrow openings",
+    "hall": "ZeroDay: a dark interior with hundreds of small emitters",
+    "ripples": "Ripple Dreams: glass, water and caustics",
+}
 
 
 def paper_links() -> dict[str, str]:
     """Where the paper of a family can be read, by family."""
-    import tomllib
-
     return tomllib.loads(PAPERS.read_text(encoding="utf-8"))
 
 
@@ -46,9 +51,12 @@ def method_page(
     parts += [_method_scores(method.name, each, page) for each in measured] or [_unmeasured(method)]
     if method.card:
         parts += ["## Weights\n", _card(method.card)]
-    if images:
-        parts += ["## Images\n", *(_image(path, text, page) for path, text in images.items())]
-    parts += ["## Run it\n", _commands(method), _siblings(method, siblings, page)]
+    parts += ["## Images\n"] * bool(images)
+    for path, text in images.items():
+        picture = link("!" + link(escape(text), path, page), path, page)
+        parts.append(f"{picture}\n\n{escape(text)}\n")
+    commands = f"```bash\nrlbench run -m {method.name}\nrlbench check {method.name}\n```\n"
+    parts += ["## Run it\n", commands, _siblings(method, siblings, page)]
     return "\n".join(parts)
 
 
@@ -95,17 +103,16 @@ def _cost(name: str, scores: Sequence[PresetScores]) -> str:
         if timed:
             _, spp, record = min(timed, key=lambda item: item[0])
             mark = "?" if record["unreliable"] else ""
-            sizes = ", ".join(sorted(set(each.rows["size"]) - {""}))
+            sizes = ", ".join(sorted(set(each.scores.rows["size"]) - {""}))
             return (
                 f"inference {record['inference_ms']:.3g}{mark} ms a frame at {spp:g} spp, {sizes}, "
-                f"on {escape(each.device)}"
+                f"on {escape(each.scores.device)}"
             )
     return "times belong to a machine: `rlbench speed` measures them"
 
 
 def _method_scores(name: str, scores: PresetScores, page: str) -> str:
-    title = link(scores.preset or "own clips", f"leaderboard/{scores.preset or 'clips'}.md", page)
-    device = f", {escape(scores.device)}" if scores.device else ""
+    device = f", {escape(scores.scores.device)}" if scores.scores.device else ""
     scenes = scores.scenes if 1 < len(scores.scenes) <= MAX_SCENES else []
     header = ["spp", "rank", "PSNR dB", "to the best", *scenes]
     rows = []
@@ -113,18 +120,11 @@ def _method_scores(name: str, scores: PresetScores, page: str) -> str:
         if not (record := scores.record(name, spp)):
             continue
         place, count = scores.rank(name, spp)
-        by_scene = [_on_scene(name, scores, scene, spp) for scene in scenes]
-        rows.append(
-            [
-                f"{spp:g}",
-                unbroken(f"{place} of {count}"),
-                f"{record['mean']:.2f}",
-                _gap(record),
-                *by_scene,
-            ]
-        )
+        overall = (unbroken(f"{place} of {count}"), f"{record['mean']:.2f}", _gap(record))
+        by_scene = [_score(name, scores, scene, spp) for scene in scenes]
+        rows.append([f"{spp:g}", *overall, *by_scene])
     return (
-        f"### {title}{device}\n\n{table(header, rows)}\n"
+        f"### {board_link(scores, page)}{device}\n\n{table(header, rows)}\n"
         "PSNR is the mean over scenes. Brackets: 95 % interval of the paired difference to the "
         f"best row at this budget. ±: standard error over the frames of a scene. {scores.source}\n"
     )
@@ -136,13 +136,6 @@ def _gap(record: Mapping[str, float | str | bool]) -> str:
     difference, low, high = (float(record[key]) for key in ("difference", "low", "high"))
     ends = "" if math.isnan(low) else f" [{low:+.2f}, {high:+.2f}]"
     return unbroken(f"{difference:+.2f}{ends}")
-
-
-def _on_scene(name: str, scores: PresetScores, scene: str, spp: float) -> str:
-    if not (record := scores.record(name, spp, scene)):
-        return "–"
-    error = scores.error(name, scene, spp)
-    return unbroken(f"{record['mean']:.2f}" + ("" if math.isnan(error) else f" ±{error:.2f}"))
 
 
 def _unmeasured(method: MethodFacts) -> str:
@@ -172,15 +165,6 @@ def _card(card: ModelCard) -> str:
     return facts(rows)
 
 
-def _image(path: str, text: str, page: str) -> str:
-    return f"{link('!' + link(escape(text), path, page), path, page)}\n\n{escape(text)}\n"
-
-
-def _commands(method: MethodFacts) -> str:
-    lines = [f"rlbench run -m {method.name}", f"rlbench check {method.name}"]
-    return "```bash\n" + "\n".join(lines) + "\n```\n"
-
-
 def _siblings(method: MethodFacts, siblings: Sequence[MethodFacts], page: str) -> str:
     others = [
         (link(escape(each.name), method_path(each.name), page), escape(each.question))
@@ -190,14 +174,6 @@ def _siblings(method: MethodFacts, siblings: Sequence[MethodFacts], page: str) -
     if not others:
         return ""
     return "## Other rows of the family\n\n" + table(("row", "question"), others, numbers=False)
-
-
-STANDS_IN_FOR = {  # the scenes of Scardigli et al. 2023
-    "city": "Emerald Square: an outdoor square with foliage, sun and sky",
-    "temple": "SunTemple: an interior lit through narrow openings",
-    "hall": "ZeroDay: a dark interior with hundreds of small emitters",
-    "ripples": "Ripple Dreams: glass, water and caustics",
-}
 
 
 def scene_path(name: str) -> str:
@@ -240,12 +216,11 @@ def _takes(takes: Sequence[TakeFacts]) -> str:
         return ""
     rows = [
         (
-            f"`{take.clip}`",
-            "static" if take.static else "animated",
-            _frames(take.cuts),
-            _frames(take.light_changes),
+            f"`{t.clip}`",
+            "static" if t.static else "animated",
+            *map(_frames, (t.cuts, t.light_changes)),
         )
-        for take in takes
+        for t in takes
     ]
     head = ("clip", "camera and objects", "cut at frame", "lights switch at frame")
     return "## Clips\n\n" + table(head, rows, numbers=False)
@@ -272,12 +247,21 @@ def _scene_scores(scene: str, scores: PresetScores, page: str, pages: frozenset[
         name = escape(method)
         cell = link(name, method_path(method), page) if method in pages else name
         rows.append([cell, *(_score(method, scores, scene, spp) for spp in scores.budgets)])
-    title = link(scores.preset or "own clips", f"leaderboard/{scores.preset or 'clips'}.md", page)
     return (
-        f"## Scores: {title}\n\nPSNR in dB ± standard error over the frames, best at {first:g} spp "
-        f"first. {scores.source}\n\n"
+        f"## Scores: {board_link(scores, page)}\n\nPSNR in dB ± standard error over the frames, "
+        f"best at {first:g} spp first. {scores.source}\n\n"
         + table(["method", *(f"{spp:g} spp" for spp in scores.budgets)], rows)
     )
+
+
+def leaderboard_path(preset: str) -> str:
+    """The page of a preset; clips of no preset have a page too."""
+    return f"leaderboard/{preset or 'clips'}.md"
+
+
+def board_link(scores: PresetScores, page: str, unnamed: str = "own clips") -> str:
+    """The link from a page to the leaderboard of a preset."""
+    return link(scores.preset or unnamed, leaderboard_path(scores.preset), page)
 
 
 def _score(method: str, scores: PresetScores, scene: str, spp: float) -> str:

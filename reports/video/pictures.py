@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
 from functools import cache
 from itertools import chain
 from pathlib import Path
@@ -22,6 +21,13 @@ COUNT_COLOURS = "viridis"  # as in the page of rlbench view
 SLICE_SHARE = 0.25  # height of a slice through time, as a share of the image above it
 SLICE_GAP = 4  # pixels between them
 MARK = 255  # white: the line of the slice, and the frame in the slice
+LABEL_COLOUR = (235, 235, 235)
+LARGEST, SMALLEST = 16, 8  # height of the font, pixels
+LINE_HEIGHT = 1.6  # of the font's
+MARGIN = 0.4  # at both ends, and twice as much between the texts; of the font's height
+ELLIPSIS = "…"
+GAP = 4  # pixels between panels
+DIVIDER = 2  # pixels
 Rgb8 = NDArray[np.uint8]  # [h w 3]
 
 
@@ -43,8 +49,7 @@ class DisplayClip(Protocol):
     reference: Rgb8 | None  # [t h w 3]
 
 
-@dataclass(frozen=True)
-class Panel:
+class Panel(NamedTuple):
     """One picture after the other, in pixels of the clip, and what is written above them."""
 
     title: str
@@ -55,8 +60,11 @@ class Panel:
 
 def panels_of(clip: DisplayClip, style: VideoStyle) -> list[Panel]:
     """The panels in their order: each row, the samples of an adaptive row, the reference."""
+    _, height, width, _ = clip.rows[0].frames.shape
+    x, y, w, h = style.crop or (0, 0, width, height)
+    line = None if style.line is None else style.line - y
     return [
-        Panel(title, remarks, _crop(frames, style), _line(style))
+        Panel(title, remarks, frames[:, y : y + h, x : x + w], line)
         for title, remarks, frames in _contents(clip, style)
     ]
 
@@ -82,35 +90,14 @@ def _contents(clip: DisplayClip, style: VideoStyle) -> Iterator[tuple[str, Seque
     for row, title in zip(clip.rows, style.titles or [row.name for row in clip.rows], strict=True):
         scores = ["" if math.isnan(psnr) else f"  {psnr:.1f} dB" for psnr in row.psnr]
         yield title, [spp + score for score in scores], row.frames
-        if style.samples and _is_adaptive(row):
-            extent = f"{row.counts.min():g} to {row.counts.max():g} a pixel"
-            colours = _colour_counts(row.counts / most)
+        least, largest = row.counts.min(), row.counts.max()
+        if style.samples and least < largest - 1:  # counts that differ by more than rounding
+            extent = f"{least:g} to {largest:g} a pixel"
+            share = (row.counts / most).astype(np.float32)
+            colours = mpl.colormaps[COUNT_COLOURS](share, bytes=True)[..., :3]
             yield f"samples of {title}", [extent] * len(colours), colours
     if clip.reference is not None:
         yield "reference", [""] * len(clip.reference), clip.reference
-
-
-def _is_adaptive(row: DisplayImages) -> bool:
-    """Do counts differ by more than rounding?"""
-    return bool(row.counts.min() < row.counts.max() - 1)
-
-
-def _colour_counts(share: NDArray[np.floating[Any]]) -> Rgb8:
-    """Colours of samples [t h w], where 1 is the most of a pixel."""
-    colours: Rgb8 = mpl.colormaps[COUNT_COLOURS](share.astype(np.float32), bytes=True)[..., :3]
-    return colours
-
-
-def _crop(frames: Rgb8, style: VideoStyle) -> Rgb8:
-    if style.crop is None:
-        return frames
-    x, y, width, height = style.crop
-    return frames[:, y : y + height, x : x + width]
-
-
-def _line(style: VideoStyle) -> int | None:
-    """The line of the slice in the part of the frame that is shown."""
-    return None if style.line is None else style.line - (style.crop or (0, 0))[1]
 
 
 def _magnify(picture: Rgb8, rows: int, columns: int) -> Rgb8:
@@ -123,13 +110,6 @@ def _mark_edges(picture: Rgb8, top: int, height: int) -> None:
     length = max(2, picture.shape[1] // 32)
     picture[top : top + height, :length] = MARK
     picture[top : top + height, -length:] = MARK
-
-
-COLOUR = (235, 235, 235)
-LARGEST, SMALLEST = 16, 8  # height of the font, pixels
-LINE_HEIGHT = 1.6  # of the font's
-MARGIN = 0.4  # at both ends, and twice as much between the texts; of the font's height
-ELLIPSIS = "…"
 
 
 class Label(NamedTuple):
@@ -158,8 +138,8 @@ def draw_label(label: Label, width: int, size: int) -> Rgb8:
     left = label.left
     while left and _text_width(Label(left, label.right), size) > width:
         left = left.removesuffix(ELLIPSIS)[:-1] + ELLIPSIS if left != ELLIPSIS else ""
-    draw.text((margin, height // 2), left, COLOUR, font, "lm")
-    draw.text((width - margin, height // 2), label.right, COLOUR, font, "rm")
+    draw.text((margin, height // 2), left, LABEL_COLOUR, font, "lm")
+    draw.text((width - margin, height // 2), label.right, LABEL_COLOUR, font, "rm")
     return np.asarray(image)
 
 
@@ -173,10 +153,6 @@ def _font(size: int) -> ImageFont.FreeTypeFont:
     """DejaVu Sans, which matplotlib brings and the figures use; its digits have one width."""
     file = Path(mpl.get_data_path()) / "fonts" / "ttf" / "DejaVuSans.ttf"
     return ImageFont.truetype(str(file), size, layout_engine=ImageFont.Layout.BASIC)
-
-
-GAP = 4  # pixels between panels
-DIVIDER = 2  # pixels
 
 
 def pictures(panels: Sequence[Panel], style: VideoStyle) -> Iterator[Rgb8]:

@@ -13,6 +13,13 @@ from reports.layout.files import finished_file
 from reports.video.pictures import DisplayClip, Panel, Rgb8, panels_of, pictures
 from reports.video.style import VideoStyle, check_formats
 
+CRF = 18  # constant rate factor of x264: differences are hard to see
+
+# BT.709 matrix, and the transfer curve of the pictures, in what players read
+COLOURS = "colorspace=bt709:color_primaries=bt709:color_trc=iec61966-2-1:range=tv"
+WEBP_METHOD = 5  # 6 takes nine times as long for files that are 1 % smaller
+MAX_KEY_DISTANCE = 1000  # pictures; a WebP plays from its start
+
 
 def write(
     clip: DisplayClip,
@@ -29,9 +36,11 @@ def write(
     frames, height, width, _ = clip.rows[0].frames.shape
     style.check(len(clip.rows), clip.reference is not None, height, width)
     panels, fps = panels_of(clip, style), style.fps * style.steps
+    names = [row.name for row in clip.rows] + ["reference"] * (clip.reference is not None)
+    words = [clip.name, f"{clip.target_spp:g}spp", *names, *["wipe"] * (style.layout == "wipe")]
     files = []
     for suffix in formats:
-        files.append(folder / f"{_stem(clip, style)}.{suffix}")
+        files.append(folder / f"{'-'.join(words).replace('/', '-')}.{suffix}")
         if suffix == "mp4":
             write_mp4(_play(panels, style, style.loops(frames), on_picture), files[-1], fps)
         else:
@@ -46,20 +55,6 @@ def _play(
         for picture in pictures(panels, style):
             yield picture
             on_picture()
-
-
-def _stem(clip: DisplayClip, style: VideoStyle) -> str:
-    names = [row.name for row in clip.rows] + ["reference"] * (clip.reference is not None)
-    words = [clip.name, f"{clip.target_spp:g}spp", *names, *["wipe"] * (style.layout == "wipe")]
-    return "-".join(words).replace("/", "-")
-
-
-CRF = 18  # constant rate factor of x264: differences are hard to see
-
-# BT.709 matrix, and the transfer curve of the pictures, in what players read
-COLOURS = "colorspace=bt709:color_primaries=bt709:color_trc=iec61966-2-1:range=tv"
-WEBP_METHOD = 5  # 6 takes nine times as long for files that are 1 % smaller
-MAX_KEY_DISTANCE = 1000  # pictures; a WebP plays from its start
 
 
 def write_mp4(pictures: Iterator[Rgb8], file: Path, fps: float) -> None:

@@ -31,11 +31,11 @@ from rlbench.clips.clip_folders import find_all_clips
 from rlbench.errors import OptionError
 from rlbench.parallel.executor import LOCAL, Executor
 from rlbench.registry.near_names import unknown_name
-from rlbench.render.jobs.preset_clips import render_preset_clips
+from rlbench.render.jobs.render_clips import render_preset_clips
 from rlbench.render.presets import get_preset
 from rlbench.system import paths
 from rlbench.system.bfloat16 import require_native_bf16
-from rlbench.system.disk import check_writable
+from rlbench.system.paths import check_writable
 from rlbench.weights import read_card
 
 if TYPE_CHECKING:

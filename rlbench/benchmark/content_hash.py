@@ -27,9 +27,9 @@ TIMING = (
     "rlbench.benchmark.cost",
     "rlbench.benchmark.latency",
     "rlbench.benchmark.timing",
-    "rlbench.render.jobs.scatter",
+    "rlbench.render.jobs.live_pool",
     "rlbench.render.mitsuba.tracer",
-    "rlbench.system.memory",
+    "rlbench.system.process_settings",
 )  # modules that measure times
 
 

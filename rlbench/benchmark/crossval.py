@@ -15,7 +15,7 @@ from rlbench import registry
 from rlbench.benchmark.clip_sources import StoredSource
 from rlbench.benchmark.run_plan import RunPlan, row_name
 from rlbench.benchmark.runner import ProgressCallbacks, RunSummary, measure
-from rlbench.render.jobs import preset_clips
+from rlbench.render.jobs import render_clips
 from rlbench.render.presets import PRESETS
 from rlbench.training import dataset
 from rlbench.training.dataset import TrainingSplit
@@ -83,7 +83,7 @@ def folds(preset: str, scenes: Sequence[str], names: Sequence[str]) -> list[Fold
             dataset.split_holdout(scene, preset, pools),
             tuple(
                 StoredSource(folder)
-                for folder in preset_clips.render_preset_clips([scene], preset, pool_kinds=pools)
+                for folder in render_clips.render_preset_clips([scene], preset, pool_kinds=pools)
             ),
         )
         for scene in scenes or preset_scenes or ["any"]

@@ -32,7 +32,7 @@ from rlbench.frames import Clip
 from rlbench.method import Method
 from rlbench.run import run_clip
 from rlbench.system import provenance
-from rlbench.system.memory import keep_freed_memory
+from rlbench.system.process_settings import keep_freed_memory
 
 __all__ = [
     "PARTS",

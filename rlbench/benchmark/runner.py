@@ -57,8 +57,8 @@ from rlbench.method import config_json
 from rlbench.parallel.executor import LOCAL, Executor, JobResult, ProgressCallback, Resources
 from rlbench.run import run_clip
 from rlbench.system.folder_lock import locked_folder
-from rlbench.system.memory import keep_freed_memory
 from rlbench.system.paths import WriteError
+from rlbench.system.process_settings import keep_freed_memory
 from rlbench.training.dataset import QUICK_PREFIX, QUICK_REMARK
 
 if TYPE_CHECKING:

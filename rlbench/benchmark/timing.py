@@ -244,7 +244,7 @@ class ScatterMeter:
         try:
             tracer = self._tracer(cell)
             counts = self._counts(cell)
-            from rlbench.render.jobs.scatter import scatter_factor
+            from rlbench.render.jobs.live_pool import scatter_factor
 
             return Scatter(scatter_factor(tracer, counts))
         except Exception as error:  # no scene, no tracer or no sample is a reason, it stops no run

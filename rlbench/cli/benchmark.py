@@ -13,7 +13,7 @@ from rlbench.cli.arguments import Seeds, WeightsChoice
 from rlbench.cli.plugins import load_plugins, load_rows
 from rlbench.cli.verbosity import note
 from rlbench.errors import OptionError
-from rlbench.system.openmp import wait_asleep
+from rlbench.system.process_settings import wait_asleep
 
 __all__ = ["run", "warn_without_networks"]
 

@@ -72,9 +72,8 @@ def render(
       rlbench render --preset unseen --digests
     """
     from rlbench.parallel.ray_executor import open_executor
-    from rlbench.render.jobs.preset_clips import render_preset_clips
-    from rlbench.system.disk import check_writable
-    from rlbench.system.paths import cache_folder
+    from rlbench.render.jobs.render_clips import render_preset_clips
+    from rlbench.system.paths import cache_folder, check_writable
 
     check_writable(cache_folder(), "RLBENCH_CACHE")
     names, buffer_names = arguments.split_names(scenes), arguments.split_names(buffers)
@@ -98,7 +97,7 @@ def _digest(folder: Path) -> str:
 def _remeasure(folder: Path) -> str:
     """Measure the times of a clip's tracer again; returns them as text, with the former one."""
     from rlbench.clips.stored import read_header
-    from rlbench.render.jobs.retime import remeasure_sample_ms
+    from rlbench.render.jobs.render_clips import remeasure_sample_ms
 
     before_ms = read_header(folder).sample_ms
     after = remeasure_sample_ms(folder)
@@ -167,8 +166,7 @@ def _write_guess(sources: list[Path], layout: Path) -> None:
     )
     from rlbench.clips.importers.layout import decode_layout, read_layout, ready_layouts
     from rlbench.errors import OptionError
-    from rlbench.system.disk import check_writable
-    from rlbench.system.paths import atomic_write
+    from rlbench.system.paths import atomic_write, check_writable
 
     if len(sources) != 1 or not sources[0].is_dir():
         raise OptionError("--guess takes one folder of EXR files")

@@ -15,8 +15,7 @@ from rlbench.cli.completion import complete_methods
 from rlbench.errors import RlbenchError
 from rlbench.registry.near_names import suggest
 from rlbench.registry.plugin_code import exits_as_errors
-from rlbench.system.disk import FolderNotWritableError, write_remedy
-from rlbench.system.paths import WriteError, write_error
+from rlbench.system.paths import FolderNotWritableError, WriteError, write_error, write_remedy
 
 __all__ = ["Command", "CommandGroup"]
 

@@ -75,7 +75,7 @@ def evaluate(
     from rlbench.benchmark.evaluation import evaluate as score
     from rlbench.benchmark.evaluation import select_metrics
     from rlbench.cli import console
-    from rlbench.system.disk import check_writable
+    from rlbench.system.paths import check_writable
 
     selected = select_metrics(
         arguments.split_names(metrics) or ["psnr"], arguments.split_names(convention)

@@ -84,7 +84,7 @@ def import_(
     from rlbench.clips.importers import writer
     from rlbench.clips.importers.formats import describe_left_out, find_sequences
     from rlbench.clips.importers.sequence import parse_frame_range
-    from rlbench.system.disk import check_writable
+    from rlbench.system.paths import check_writable
 
     check_writable(out)
     frame_range = parse_frame_range(frames) if frames else None

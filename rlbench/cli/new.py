@@ -45,8 +45,7 @@ def new(
       rlbench new my_method --learned --metric --scene
       rlbench new my_method --out ~/research/my_method
     """
-    from rlbench.system.disk import check_writable
-    from rlbench.system.paths import atomic_write
+    from rlbench.system.paths import atomic_write, check_writable
 
     folder = out or Path(name)
     _check_name(name)

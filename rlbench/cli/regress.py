@@ -105,7 +105,7 @@ def regress(
     from rlbench.benchmark.regression.baseline import find_baseline, load_baseline, only_preset
     from rlbench.benchmark.regression.comparison import compare
     from rlbench.benchmark.results import read
-    from rlbench.system.disk import check_writable
+    from rlbench.system.paths import check_writable
 
     for option, file in (("--junit", junit), ("--summary", summary)):
         if file:

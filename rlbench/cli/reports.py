@@ -16,7 +16,7 @@ from rlbench.cli.json_output import ReportOutput, print_json
 from rlbench.cli.verbosity import note
 from rlbench.errors import OptionError, RlbenchError
 from rlbench.registry.near_names import unknown_name
-from rlbench.system.disk import check_writable
+from rlbench.system.paths import check_writable
 
 if TYPE_CHECKING:
     import pandas as pd

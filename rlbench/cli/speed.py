@@ -88,7 +88,7 @@ def speed(
     from rlbench.benchmark.api import check_precision, select_device
     from rlbench.benchmark.speed import Configuration, failed_rows, measure_speed, write_speed
     from rlbench.cli import console
-    from rlbench.system.disk import check_writable
+    from rlbench.system.paths import check_writable
 
     target = select_device(device)
     backends = [select_backend(name, target) for name in arguments.split_names(backend) or [EAGER]]

@@ -69,7 +69,7 @@ def stress(
     load_rows(context, plugin, names or ["all"])
     from rlbench.benchmark.api import select_device
     from rlbench.checks.stress.run import stress_methods
-    from rlbench.system.disk import check_writable
+    from rlbench.system.paths import check_writable
 
     target = select_device(device)
     check_writable(out)

@@ -89,7 +89,7 @@ def train(
     load_plugins(plugin)
     names = arguments.trainable_methods(methods or ["all"])  # before torch
     from rlbench.parallel.time_limit import TimeLimit, TimeLimitedExecutor
-    from rlbench.system.disk import check_writable
+    from rlbench.system.paths import check_writable
     from rlbench.training import dataset
     from rlbench.training.logger import tensorboard_hint
     from rlbench.training.run_folder import QUICK, find_weights

@@ -16,7 +16,7 @@ import typer
 from rlbench.cli import arguments, training_options
 from rlbench.cli.plugins import load_plugins
 from rlbench.errors import OptionError
-from rlbench.system.disk import check_writable
+from rlbench.system.paths import check_writable
 from rlbench.system.progress import format_duration
 from rlbench.training import queue
 from rlbench.training.queue import Entry, QueueError, RowStatus, Training

@@ -132,8 +132,7 @@ def render_scene(
     from rlbench.parallel.ray_executor import open_executor
     from rlbench.render.presets import get_preset
     from rlbench.render.user.clip import UserSceneOptions
-    from rlbench.system.disk import check_writable
-    from rlbench.system.paths import cache_folder
+    from rlbench.system.paths import cache_folder, check_writable
 
     check_writable(*((out, "--out") if out else (cache_folder(), "RLBENCH_CACHE")))
     scene = UserSceneOptions(

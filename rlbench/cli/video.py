@@ -148,7 +148,7 @@ def video(
     from rlbench.cli import console
     from rlbench.cli.decide import select_scenes
     from rlbench.cli.view import find_sources, nearest_to_one
-    from rlbench.system.disk import check_writable
+    from rlbench.system.paths import check_writable
 
     target = out or results / "video"
     check_writable(target)

@@ -81,7 +81,7 @@ def view(
     from rlbench.benchmark.results import read
     from rlbench.cli.decide import select_scenes
     from rlbench.cli.reports import select_rows
-    from rlbench.system.disk import check_writable
+    from rlbench.system.paths import check_writable
 
     target = out or results / "report.html"
     check_writable(target.parent)

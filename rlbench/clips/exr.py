@@ -76,10 +76,10 @@ def read_planes(path: Path, header: ExrHeader, names: Sequence[str]) -> list[NDA
         ]
     with OpenEXR.File(str(path), separate_channels=True) as file:
         # the library leaves out a part that it cannot decode, and the list shifts
-        whole = {found.name(): found.channels for found in file.parts}
-        if header.name not in whole:
+        decoded = {part.name(): part.channels for part in file.parts}
+        if header.name not in decoded:
             raise ExrHeaderError(f"its part '{header.name}' is damaged or unfinished")
-        return [np.array(whole[header.name][name].pixels) for name in names]
+        return [np.array(decoded[header.name][name].pixels) for name in names]
 
 
 def channel_dtype(path: Path, name: str) -> type[np.floating]:

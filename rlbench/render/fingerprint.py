@@ -8,8 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from rlbench.render.pose import Pose
-from rlbench.render.scene import Scene
+from rlbench.render.scene import Pose, Scene
 
 __all__ = ["RENDERER_VERSION", "fingerprint"]
 

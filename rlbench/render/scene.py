@@ -1,7 +1,8 @@
-"""A scene as plain data: meshes, emitters, camera and takes. No renderer is imported.
+"""A scene as plain data: meshes, emitters, camera and takes, and its pose at one time.
 
-A scene plugin is a function that returns a `Scene`, registered as an entry point in the group
-`rlbench.scenes`. It has no argument, or a `seed`: the clip NAME-007 is made with seed 7.
+No renderer is imported. A scene plugin is a function that returns a `Scene`, registered as an entry
+point in the group `rlbench.scenes`. It has no argument, or a `seed`: the clip NAME-007 is made with
+seed 7.
 """
 
 from __future__ import annotations
@@ -12,14 +13,28 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from jaxtyping import Float
+from numpy import ndarray as Array
 from numpy.typing import NDArray
 
 from rlbench.errors import RlbenchError
 
-__all__ = ["Camera", "Mesh", "MitsubaDict", "Scene", "SceneError", "Take", "Vertices", "XmlFile"]
+__all__ = [
+    "Camera",
+    "MIN_DEPTH",
+    "Mesh",
+    "MitsubaDict",
+    "Pose",
+    "Scene",
+    "SceneError",
+    "Take",
+    "Vertices",
+    "XmlFile",
+]
 
 Vertices = Mapping[str, NDArray[np.float32]]  # [v 3] in world space, by mesh name
 MitsubaDict = Mapping[str, Any]  # a Mitsuba scene dict; bitmap textures may hold numpy arrays
+MIN_DEPTH = 1e-6  # m: points nearer to the camera plane, or behind it, are projected from here
 
 
 @dataclass(frozen=True)
@@ -146,3 +161,57 @@ class Scene:
             static=take.static,
             takes=(),
         )
+
+
+@dataclass(frozen=True)
+class Pose:
+    """The camera, and the vertices of each mesh in the order of `Scene.meshes`."""
+
+    camera: Camera
+    vertices: tuple[Float[Array, "v 3"], ...]
+
+    @classmethod
+    def at_time(cls, scene: Scene, time: float) -> Pose:
+        """The pose of `scene` at `time`, in frames."""
+        animated = scene.vertex_animation(time)
+        return cls(
+            scene.camera(time), tuple(animated.get(m.name, m.vertices) for m in scene.meshes)
+        )
+
+    def camera_axes(self) -> Float[Array, "3 3"]:
+        """Rows: right, down and forward of the camera in world space, unit length, float64."""
+        camera = self.camera
+        forward = _normalize(np.subtract(camera.target, camera.origin, dtype=np.float64))
+        right = _normalize(np.cross(forward, camera.up))
+        return np.stack([right, np.cross(forward, right), forward])
+
+    def tangent_per_pixel(self, width: int) -> float:
+        """Tangent of the angle per pixel: tan(fov / 2) divided by half the width."""
+        return float(np.tan(np.radians(self.camera.fov) / 2) * 2 / width)
+
+    def ray_directions(
+        self, film: Float[Array, "p 2"], height: int, width: int
+    ) -> Float[Array, "p 3"]:
+        """Unit rays through film positions in pixels (x right, y down, 0 at the corner)."""
+        slopes = (film - np.array([width / 2, height / 2])) * self.tangent_per_pixel(width)
+        directions = np.column_stack([slopes, np.ones(len(film))]) @ self.camera_axes()
+        return np.asarray(directions / np.linalg.norm(directions, axis=1, keepdims=True))
+
+    def project(
+        self, points: Float[Array, "p 4"], height: int, width: int
+    ) -> tuple[Float[Array, "p 2"], Float[Array, " p"]]:
+        """Film positions in pixels (x right, y down, 0 at the corner) and depths along the axis.
+
+        Points are homogeneous: (position, 1), or (direction, 0) for points at infinity.
+        """
+        local = (points[:, :3] - points[:, 3:] * np.asarray(self.camera.origin)) @ (
+            self.camera_axes().T
+        )
+        depth = local[:, 2]
+        centre = np.array([width / 2, height / 2])
+        slopes = local[:, :2] / np.maximum(depth, MIN_DEPTH)[:, None]
+        return slopes / self.tangent_per_pixel(width) + centre, depth
+
+
+def _normalize(vector: Array) -> Array:
+    return np.asarray(vector / np.linalg.norm(vector))

@@ -1,10 +1,11 @@
-"""The cache folders, and writing files atomically."""
+"""The cache folders, writing files atomically, and whether a folder takes files at all."""
 
 from __future__ import annotations
 
 import errno
 import os
 import shutil
+import tempfile
 import uuid
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
@@ -13,15 +14,18 @@ from pathlib import Path
 from rlbench.errors import RlbenchError
 
 __all__ = [
+    "FolderNotWritableError",
     "WriteError",
     "atomic_write",
     "cache_folder",
     "cache_write",
+    "check_writable",
     "clips_folder",
     "decoded_folder",
     "publish_folder",
     "scenes_folder",
     "write_error",
+    "write_remedy",
 ]
 
 UNWRITABLE = {  # errors of the disk or the folder, which the user can mend; numpy gives no number
@@ -29,6 +33,7 @@ UNWRITABLE = {  # errors of the disk or the folder, which the user can mend; num
     *(errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO, errno.EROFS, errno.EACCES, errno.EPERM),
     *(errno.ENOTDIR, errno.EEXIST, errno.EISDIR, errno.ENAMETOOLONG, errno.ELOOP),
 }
+PROBE_BYTES = 4096  # written and removed: a full disk may still create empty files
 
 
 def cache_folder() -> Path:
@@ -142,3 +147,42 @@ def _synchronize(path: Path) -> None:
             raise
     finally:
         os.close(descriptor)
+
+
+class FolderNotWritableError(WriteError):
+    """A folder that takes no file, found out before anything was computed."""
+
+
+def check_writable(folder: Path, setting: str = "--out") -> None:
+    """Raise FolderNotWritableError unless files can be written in `folder`.
+
+    A folder that does not exist is not created; the one above it is tried. Nothing is left in it.
+    `setting` is what names another folder.
+    """
+    absolute = folder.absolute()
+    existing = next(path for path in (absolute, *absolute.parents) if os.path.lexists(path))
+    try:
+        with tempfile.TemporaryFile(dir=existing) as file:
+            file.write(bytes(PROBE_BYTES))
+            file.flush()
+    except OSError as error:
+        free = f"{_free_bytes(existing)} bytes free"
+        raise FolderNotWritableError(
+            f"nothing can be written to {folder} ({error.strerror}; {existing} has {free}). "
+            f"Free some space, or name another folder by {_describe(setting)}"
+        ) from error
+
+
+def write_remedy(error: WriteError) -> str:
+    """What names another folder than the one in the message of `error`; what is done is kept."""
+    is_in_cache = str(cache_folder()) in str(error)
+    return f"{_describe('RLBENCH_CACHE' if is_in_cache else '--out')} names another folder"
+
+
+def _describe(setting: str) -> str:
+    return "the variable RLBENCH_CACHE" if setting == "RLBENCH_CACHE" else setting
+
+
+def _free_bytes(path: Path) -> int:
+    folder = path if path.is_dir() else path.parent
+    return shutil.disk_usage(folder).free

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, NamedTuple
 from rlbench.clips.header import FILE
 from rlbench.errors import OptionError
 from rlbench.registry.near_names import unknown_name
-from rlbench.render.jobs.preset_clips import render_preset_clips
+from rlbench.render.jobs.render_clips import render_preset_clips
 from rlbench.render.presets import PRESETS
 from rlbench.system import paths
 from rlbench.training.own_clips import find_own_clips

@@ -14,7 +14,7 @@ from typing import Any, NamedTuple
 from rlbench import registry
 from rlbench.clips.in_memory import InMemoryClip
 from rlbench.clips.stored import open_clip
-from rlbench.system.memory import keep_freed_memory
+from rlbench.system.process_settings import keep_freed_memory
 from rlbench.training import checkpoint, own_clips, validation
 from rlbench.training.batches import Batches, prefetch, sequence_budget
 from rlbench.training.checkpoint import Progress, combine_digests, describe_changes

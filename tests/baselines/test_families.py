@@ -5,15 +5,20 @@ from __future__ import annotations
 import importlib
 import subprocess
 import sys
+from collections.abc import Callable
+from dataclasses import replace
+from typing import Any
 
 import pytest
 import torch
+from torch import Tensor
 
 from rlbench import registry
 from rlbench.clips.in_memory import InMemoryClip
 from rlbench.clips.procedural.clip import procedural_clip
 from rlbench.frames import Samples, Size
 from rlbench.training.task import TrainingTask
+from tests.baselines.noise import random_tensor, read_samples
 
 FAMILIES = registry.list_plugins("methods")
 PARAMETERS = {  # by hand from the layers; published ones where the fact sheet has them
@@ -26,6 +31,8 @@ PARAMETERS = {  # by hand from the layers; published ones where the fact sheet h
     "oidn/retrained": {"": 919_811},
     "oidn/retrained-small": {"": 320_035},
 }
+RECURRENT = ("imcd", "nppd", "ntas")
+SIZE = Size(1, 32, 32)
 TRAINED = ("dasr", "imcd", "nppd", "ntas", "ntas/direct", "oidn/retrained")
 
 
@@ -69,9 +76,52 @@ def test_an_invalid_sample_leaves_the_image_finite(name: str, bad: float) -> Non
     radiance[:, 2, :, 3, 3] = bad
     method = registry.load_method(name, weights="random")
     samples = Samples(radiance, torch.full((1, 1, 32, 32), 8))
-    image, _ = method.denoise(frame.gbuffer, samples, method.start(Size(1, 32, 32)))
+    image, _ = method.denoise(frame.gbuffer, samples, method.start(SIZE))
     assert torch.isfinite(image).all()
     assert (image >= 0).all()
+
+
+@pytest.mark.parametrize("name", TRAINED)
+def test_the_order_of_samples_has_no_effect(name: str) -> None:
+    frame, method = clip(1).frames[0], registry.load_method(name, weights="random")
+    samples = read_samples(frame)
+    shuffled = replace(samples, radiance=samples.radiance[:, [3, 1, 7, 0, 2, 6, 5, 4]])
+    first, second = (
+        method.denoise(frame.gbuffer, each, method.start(SIZE))[0] for each in (samples, shuffled)
+    )
+    torch.testing.assert_close(first, second, rtol=1e-4, atol=1e-5)  # sums in another order
+
+
+def edit_tensors(state: tuple[Any, ...], edit: Callable[[Tensor], Tensor]) -> Any:
+    """A state, which is a named tuple, with its tensors changed."""
+    return type(state)(*(edit(part) if isinstance(part, Tensor) else part for part in state))
+
+
+@pytest.mark.parametrize("name", RECURRENT)
+def test_the_first_frame_ignores_the_state(name: str) -> None:
+    frame, method = clip(1).frames[0], registry.load_method(name, weights="random")
+    start = method.start(SIZE)
+    noise = edit_tensors(start, lambda part: random_tensor(*part.shape))
+    first, second = (
+        method.denoise(frame.gbuffer, read_samples(frame), state)[0] for state in (start, noise)
+    )
+    assert torch.equal(first, second)
+
+
+@pytest.mark.parametrize("name", RECURRENT)
+@pytest.mark.parametrize("bad", [torch.nan, torch.inf])
+def test_a_nonfinite_state_is_invalid_history(name: str, bad: float) -> None:
+    def damage(part: Tensor) -> Tensor:
+        part = part.clone()
+        part[..., 3, 3] = bad
+        return part
+
+    frame, method = clip(1).frames[0], registry.load_method(name, weights="random")
+    still, samples = replace(frame.gbuffer, static=True), read_samples(frame)
+    _, state = method.denoise(still, samples, method.start(SIZE))
+    image, after = method.denoise(still, samples, edit_tensors(state, damage))
+    assert torch.isfinite(image).all()
+    assert all(torch.isfinite(part).all() for part in after if isinstance(part, Tensor))
 
 
 @pytest.mark.parametrize("name", TRAINED)

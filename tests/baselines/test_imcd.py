@@ -167,29 +167,6 @@ def test_empty_slots_have_no_effect() -> None:
     assert torch.equal(encoder(colours, gbuffer, valid), encoder(other, gbuffer, valid))
 
 
-def test_the_order_of_samples_has_no_effect(method: Imcd) -> None:
-    frame = noisy_clip().frames[0]
-    samples = read_samples(frame)
-    order = torch.tensor([3, 1, 7, 0, 2, 6, 5, 4])
-    shuffled = replace(samples, radiance=samples.radiance[:, order])
-    first, second = (
-        method.denoise(frame.gbuffer, ordered, method.start(SIZE))[0]
-        for ordered in (samples, shuffled)
-    )
-    # sums of eight in another order, through a U-Net; of values of order one
-    torch.testing.assert_close(first, second, rtol=1e-5, atol=1e-6)
-
-
-def test_the_first_frame_ignores_the_state(method: Imcd) -> None:
-    frame = noisy_clip().frames[0]
-    noise = LightHistory(*(random_tensor(1, c, 16, 16, seed=c) for c in (3, 3, 40)), age=0)
-    first, second = (
-        method.denoise(frame.gbuffer, read_samples(frame), state)[0]
-        for state in (method.start(SIZE), noise)
-    )
-    assert torch.equal(first, second)
-
-
 def test_a_repeated_frame_keeps_its_features(method: Imcd) -> None:
     frame = noisy_clip().frames[0]
     still = replace(frame.gbuffer, static=True)
@@ -227,16 +204,6 @@ def test_constant_irradiance_stays_constant(method: Imcd, age: int) -> None:
         state.denoised, torch.full_like(state.denoised, 0.7), rtol=1e-5, atol=0
     )
     torch.testing.assert_close(image, 0.7 * reflectance, rtol=1e-5, atol=0)
-
-
-def test_a_nonfinite_state_is_invalid_history(method: Imcd) -> None:
-    frame = noisy_clip().frames[0]
-    _, state = method.denoise(frame.gbuffer, read_samples(frame), method.start(SIZE))
-    for part in state[:3]:
-        part[..., 3, 3] = torch.nan
-    image, after = method.denoise(frame.gbuffer, read_samples(frame), state)
-    assert torch.isfinite(image).all()
-    assert all(torch.isfinite(part).all() for part in after[:3])
 
 
 def test_emitters_with_black_albedo_keep_their_radiance() -> None:

@@ -259,16 +259,6 @@ def test_the_mean_embedding_is_the_mean_of_the_embedded_samples() -> None:
     torch.testing.assert_close(encoder(colours, gbuffer, valid), expected, rtol=1e-5, atol=1e-6)
 
 
-def test_the_order_of_samples_has_no_effect(method: Nppd) -> None:
-    frame, samples = first_frame(8)
-    shuffled = replace(samples, radiance=samples.radiance[:, [3, 1, 7, 0, 2, 6, 5, 4]])
-    first, second = (
-        method.denoise(frame.gbuffer, ordered, method.start(SIZE))[0]
-        for ordered in (samples, shuffled)
-    )
-    torch.testing.assert_close(first, second, rtol=1e-4, atol=1e-6)  # sums in another order
-
-
 def test_a_pixel_without_a_sample_takes_its_history() -> None:
     frame, samples = first_frame()
     counts = samples.counts.clone()
@@ -299,15 +289,6 @@ def test_a_quarter_of_a_sample_per_pixel_keeps_the_brightness(method: Nppd) -> N
         assert 0.7 < ratio < 1.4  # 0.25 with holes left black
 
 
-def test_the_first_frame_ignores_the_state(method: Nppd) -> None:
-    frame, samples = first_frame()
-    noise = LightHistory(*(random_tensor(1, c, 32, 32, seed=c) for c in (3, 3, 32)), age=0)
-    first, second = (
-        method.denoise(frame.gbuffer, samples, state)[0] for state in (method.start(SIZE), noise)
-    )
-    assert torch.equal(first, second)
-
-
 @pytest.mark.parametrize("part", ["irradiance", "denoised", "features"])
 def test_a_later_frame_uses_every_part_of_the_state(method: Nppd, part: str) -> None:
     frame, samples = first_frame()
@@ -316,16 +297,6 @@ def test_a_later_frame_uses_every_part_of_the_state(method: Nppd, part: str) -> 
     changed = state._replace(**{part: torch.full_like(getattr(state, part), 3.0)})
     first, second = (method.denoise(static, samples, s)[0] for s in (state, changed))
     assert not torch.allclose(first, second, rtol=1e-4)
-
-
-def test_a_nonfinite_state_is_invalid_history(method: Nppd) -> None:
-    frame, samples = first_frame()
-    _, state = method.denoise(frame.gbuffer, samples, method.start(SIZE))
-    for part, bad in zip(state[:3], (torch.nan, torch.inf, -torch.inf), strict=True):
-        part[..., 3, 3] = bad
-    image, after = method.denoise(replace(frame.gbuffer, static=True), samples, state)
-    assert torch.isfinite(image).all()
-    assert all(torch.isfinite(part).all() for part in after[:3])
 
 
 def test_exposure_scales_the_image(method: Nppd) -> None:

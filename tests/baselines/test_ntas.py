@@ -17,7 +17,6 @@ from tests.baselines.noise import (
     half_noisy,
     noisy_clip,
     random_tensor,
-    read_samples,
 )
 
 CPU = torch.device("cpu")
@@ -39,18 +38,6 @@ def test_extreme_sampler_outputs_still_give_every_pixel_some_density(method: Nta
     steep = Ntas(networks)
     density = steep.plan(frame.gbuffer, frame.pool.empty(), steep.start(frame.pool.size))
     assert density.min() > 0
-
-
-def test_the_first_frame_ignores_the_state(method: Ntas) -> None:
-    frame = next(iter(noisy_clip()))
-    samples = read_samples(frame)
-    zeros, noise = (
-        State(light, age=0) for light in (torch.zeros(1, 3, 16, 16), random_tensor(1, 3, 16, 16))
-    )
-    assert torch.equal(
-        method.denoise(frame.gbuffer, samples, zeros)[0],
-        method.denoise(frame.gbuffer, samples, noise)[0],
-    )
 
 
 def test_pixels_with_only_invalid_taps_ignore_the_history() -> None:
@@ -77,16 +64,6 @@ def test_constant_irradiance_stays_constant(method: Ntas, age: int) -> None:
         state.denoised, torch.full_like(state.denoised, 0.7), rtol=1e-5, atol=0
     )
     torch.testing.assert_close(image, 0.7 * reflectance, rtol=1e-5, atol=0)
-
-
-def test_a_nonfinite_state_is_invalid_history(method: Ntas) -> None:
-    frame = next(iter(noisy_clip()))
-    samples = read_samples(frame)
-    light = torch.ones(1, 3, 16, 16)
-    light[..., 3, 3] = torch.nan
-    image, state = method.denoise(frame.gbuffer, samples, State(light, age=1))
-    assert torch.isfinite(image).all()
-    assert torch.isfinite(state.denoised).all()
 
 
 def test_the_sampler_learns_where_noise_is() -> None:

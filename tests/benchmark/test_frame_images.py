@@ -95,24 +95,6 @@ def test_a_method_that_raises_is_reported_and_the_others_are_drawn(clip_folder, 
     assert re.fullmatch(r"ValueError: no luck \(odd\.py:\d+\)", sheet.missing["odd"])
 
 
-def test_an_image_of_another_shape_is_a_failure_and_the_others_are_drawn(clip_folder, tmp_path):
-    body = "return samples.mean[..., 1:], None"
-    registry.use_plugin(write_plugin(tmp_path / "odd.py", "odd", body=body))
-    (sheet,) = write_images(plan(clip_folder, "odd", "mean"), 0, tmp_path)
-    assert re.search(
-        r"denoise must return an image \[1 3 20 24\], found a Tensor \[1 3 20 23\] of "
-        r"torch.float32; support any size: .* \(odd\.py:\d+\)$",
-        sheet.missing["odd"],
-    )
-
-
-def test_a_sheet_counts_the_pixels_of_each_method_that_are_not_finite(clip_folder, tmp_path):
-    body = "return samples.mean * float('nan'), None"
-    registry.use_plugin(write_plugin(tmp_path / "odd.py", "odd", body=body))
-    (sheet,) = write_images(plan(clip_folder, "odd", "mean"), 0, tmp_path)
-    assert sheet.nonfinite == {"odd": 20 * 24}
-
-
 @pytest.mark.parametrize("frame", [3, -4])
 def test_a_missing_frame_is_an_error(clip_folder, tmp_path, frame):
     with pytest.raises(ImagesError, match=f"--frame {frame}: clip 'noise' has frames 0 to 2"):

@@ -12,10 +12,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-import torch
 
 from metrics.metric import Metric
-from reports.analysis.scores import Scores
 from rlbench import registry
 from rlbench.benchmark import latency, runner
 from rlbench.benchmark import results as table
@@ -298,13 +296,6 @@ def test_a_method_that_ends_the_program_does_not_spoil_the_times_of_others(clip_
     assert times_of(tmp_path / "r", "mean")["clock_rounds"] >= 3
 
 
-def test_the_report_has_the_frame_time_of_the_table(clip_folder, tmp_path):
-    measure(run_plan(clip_folder, spp=(2.0,), cost="paper-2080ti"), tmp_path / "r")
-    rows = table.read(tmp_path / "r")
-    (frame_ms,) = rows[rows["metric"] == "frame_ms"]["value"]
-    assert Scores(rows).points["frame_ms"].item() == pytest.approx(frame_ms)
-
-
 def test_a_second_run_measures_nothing(clip_folder, tmp_path):
     measure(run_plan(clip_folder), tmp_path / "r")
     before = _files(tmp_path / "r")
@@ -394,58 +385,23 @@ def test_changed_code_replaces_the_older_rows(clip_folder, tmp_path):
     assert len(table.cells(tmp_path / "r")) == 1
 
 
-def test_changed_code_that_a_method_imports_counts(clip_folder, tmp_path, monkeypatch):
-    package = tmp_path / "faraway"
-    package.mkdir()
-    (package / "__init__.py").write_text("")
-    (package / "net.py").write_text("WIDTH = 8\n")
-    method = write_plugin(package / "method.py", "far", build="return Scaled()")
-    text = method.read_text().replace('"method:build"', '"faraway.method:build"')
-    method.write_text(f"from faraway.net import WIDTH\n{text}")
-    monkeypatch.syspath_prepend(str(tmp_path))
-    monkeypatch.setenv(registry.METHODS_VARIABLE, "far=faraway.method:FAMILY")
-
-    assert measure(run_plan(clip_folder, "far"), tmp_path / "r") == RunSummary(measured=1)
-    assert measure(run_plan(clip_folder, "far"), tmp_path / "r") == RunSummary(cached=1)
-    (package / "net.py").write_text("WIDTH = 9\n")
-    assert measure(run_plan(clip_folder, "far"), tmp_path / "r") == RunSummary(measured=1)
+SHAPE, DTYPE = "samples.mean[:, :1]", "samples.mean.half()"
+NAN = {"body": "return samples.mean * float('nan'), None"}
 
 
 @pytest.mark.parametrize(
     ("plugin", "header", "spp", "reason"),
     [
         ({"traits": "spp_range=(1.0, 4.0)"}, {}, 8.0, "1 to 4 spp.* 8"),
-        ({"traits": "pool='odd'"}, {}, 1.0, "'odd' pool.*path"),
-        (
-            {"traits": "inputs=frozenset({'depth'})"},
-            {"buffers": ("albedo",)},
-            1.0,
-            "depth, .*albedo",
-        ),
+        ({"traits": "pool='odd'"}, {}, 1.0, "'odd' pool"),
+        ({"traits": "inputs=frozenset({'depth'})"}, {"buffers": ("albedo",)}, 1.0, "depth"),
         ({}, {"pool_spp": 4}, 8.0, "8 spp .*4 samples"),
         ({"body": "raise RuntimeError('no luck')"}, {}, 1.0, "RuntimeError: no luck"),
-        (
-            {"body": "return samples.mean[:, :1], None"},
-            {},
-            1.0,
-            r"WrongReturnError: denoise must return an image \[1 3 h w\] as a torch.Tensor, "
-            r"found a Tensor \[1 1 20 24\] of torch.float32; .* \(odd.py:\d+\)",
-        ),
-        (
-            {"body": "return samples.mean.half(), None"},
-            {},
-            1.0,
-            r"PluginError: 'odd' returned an image of torch.float16 \[1, 3, 20, 24\], "
-            r"expected torch.float32 \[1, 3, 20, 24\]",
-        ),
+        ({"body": f"return {SHAPE}, None"}, {}, 1.0, r"WrongReturnError: .*\(odd.py:\d+\)"),
+        ({"body": f"return {DTYPE}, None"}, {}, 1.0, "PluginError: 'odd' .*torch.float16"),
         ({"body": "raise SystemExit(0)"}, {}, 1.0, r"PluginExitError: .* called sys.exit\(0\)"),
         ({"build": "raise OSError('no weights')"}, {}, 1.0, "OSError: no weights"),
-        (
-            {"body": "return samples.mean * float('nan'), None"},
-            {},
-            1.0,
-            None,  # scored as errors, not skipped
-        ),
+        (NAN, {}, 1.0, None),  # scored as errors, not skipped
     ],
 )
 def test_a_cell_that_cannot_run_is_one_row_with_the_reason(tmp_path, plugin, header, spp, reason):
@@ -521,12 +477,6 @@ def test_another_version_of_a_package_that_makes_the_images_is_measured_again(
     assert set(table.read(tmp_path / "r").weights_hash) == {"numpy 99.5"}
 
 
-def test_one_failing_method_does_not_stop_the_others(clip_folder, tmp_path):
-    registry.use_plugin(write_plugin(tmp_path / "odd.py", "odd", body="raise RuntimeError('no')"))
-    done = measure(run_plan(clip_folder, "odd", "mean"), tmp_path / "r")
-    assert done == RunSummary(measured=1, failed=1)
-
-
 def test_a_cell_that_failed_is_tried_again(clip_folder, tmp_path):
     body = f"open({str(tmp_path / 'file')!r}); return samples.mean, None"
     registry.use_plugin(write_plugin(tmp_path / "odd.py", "odd", body=body))
@@ -537,29 +487,11 @@ def test_a_cell_that_failed_is_tried_again(clip_folder, tmp_path):
     assert len(table.cells(tmp_path / "r")) == 1
 
 
-def test_a_budget_that_a_method_does_not_support_is_not_tried_again(clip_folder, tmp_path):
-    registry.use_plugin(write_plugin(tmp_path / "odd.py", "odd", traits="spp_range=(2.0, 4.0)"))
-    measure(run_plan(clip_folder, "odd"), tmp_path / "r")
-    assert measure(run_plan(clip_folder, "odd"), tmp_path / "r") == RunSummary(cached=1)
-
-
 def test_two_clips_of_one_name_are_refused(tmp_path):
     folders = [write_noise(tmp_path / place / "same") for place in ("a", "b")]
     twins = RunPlan(("mean",), tuple(map(StoredSource, folders)), (1.0,))
     with pytest.raises(CellsError, match="2 of the clips are called 'same'"):
         measure(twins, tmp_path / "r")
-
-
-def test_an_unknown_method_stops_the_run_before_it_begins(clip_folder, tmp_path):
-    names = ", ".join(registry.list_plugins("methods"))
-    with pytest.raises(registry.PluginError, match=f"'foo' .*{re.escape(names)}"):
-        measure(run_plan(clip_folder, "mean", "foo"), tmp_path / "r")
-    assert not (tmp_path / "r").exists()
-
-
-def test_cells_are_the_whole_grid(clip_folder):
-    plan = run_plan(clip_folder, "mean", "ours", spp=(1.0, 2.0), seeds=(0, 1, 2))
-    assert len(list_cells(plan)) == 2 * 2 * 3
 
 
 @pytest.mark.parametrize(
@@ -577,11 +509,6 @@ def test_cells_are_the_whole_grid(clip_folder):
 def test_only_samples_that_can_be_drawn_are_read(adaptive, cap, spp, needed):
     traits = replace(registry.get_variant("mean").traits, adaptive=adaptive, max_samples=cap)
     assert max_samples_needed(traits, spp, 8) == needed
-
-
-def test_fewer_samples_read_are_the_same_samples(clip_folder):
-    few, all_ = (next(iter(open_clip(clip_folder, max_samples=n))).pool.radiance for n in (3, 8))
-    assert torch.equal(few, all_[:, :3])
 
 
 def test_weights_with_a_label_have_their_own_rows_and_unlearned_methods_have_none(
@@ -699,7 +626,7 @@ def test_samples_are_charged_again_on_another_machine(clip_folder, monkeypatch):
     assert len(ids) == 2
 
 
-@pytest.mark.parametrize("part", ["rlbench.render.jobs.scatter", "rlbench.render.mitsuba.tracer"])
+@pytest.mark.parametrize("part", ["rlbench.render.jobs.live_pool", "rlbench.render.mitsuba.tracer"])
 def test_new_code_that_measures_scattered_samples_times_cells_again(clip_folder, monkeypatch, part):
     plan = run_plan(clip_folder)
     (before,) = cell_ids(plan)

@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from rlbench.clips.stored import open_clip
-from rlbench.render.jobs import preset_clips
+from rlbench.render.jobs import render_clips
 from rlbench.training import dataset
 from tests.cli.runner import rlbench
 from tests.conftest import write_noise
@@ -70,7 +70,7 @@ def test_options_of_render_change_the_preset(ensured):
 
 @pytest.mark.parametrize(("requested", "takes"), [(None, "all"), ("main", "main")])
 def test_the_takes_of_a_preset_can_be_chosen(ensured, requested, takes):
-    preset_clips.render_preset_clips(None, "standard", takes=requested)
+    render_clips.render_preset_clips(None, "standard", takes=requested)
     assert [(preset.name, preset.takes) for preset, _, _ in ensured] == [("standard", takes)]
 
 

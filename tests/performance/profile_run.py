@@ -36,7 +36,7 @@ class Stage(NamedTuple):
 PYTORCH = Stage("importing PyTorch", "methods")  # and metrics, which share it
 STAGES = (
     Stage("tracing scattered samples", "tracing", (
-        ("rlbench.render.jobs.scatter", "scatter_factor"),
+        ("rlbench.render.jobs.live_pool", "scatter_factor"),
         ("rlbench.render.jobs.live_pool", "open_wavefronts"),
     )),
     Stage("building methods", "methods", (("rlbench.benchmark.run_plan", "CellLoader._build"),)),

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from rlbench.render.pose import Pose
+from rlbench.render.scene import Pose
 from tests.render.small_scenes import room
 
 H, W = 48, 64

@@ -11,7 +11,13 @@ import pytest
 from scipy import stats
 
 from reports.analysis.rows import ReportError
-from reports.compare import compare, comparison_text
+from reports.compare import (
+    compare,
+    comparison_text,
+    interquartile_mean,
+    performance_profile,
+    probability_of_improvement,
+)
 from rlbench.benchmark.results import to_dataframe
 from tests.reports.conftest import SCENES, rows
 
@@ -101,3 +107,30 @@ def test_a_row_that_is_missing_or_the_same_is_refused(second):
 def test_a_metric_without_values_is_refused_with_those_that_there_are(results):
     with pytest.raises(ReportError, match="'flip' was requested.*metrics that do: psnr, relmse"):
         compare(results, "ours", "mean", metric="flip")
+
+
+def runs_of(seed, runs=5, scenes=4):
+    return np.random.default_rng(seed).integers(0, 8, (runs, scenes)).astype(float)  # with ties
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_the_interquartile_mean_leaves_out_a_quarter_of_the_scores_at_each_end(seed):
+    flat = sorted(runs_of(seed).ravel())
+    assert interquartile_mean(runs_of(seed)) == pytest.approx(sum(flat[5:15]) / 10)
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_the_probability_of_improvement_is_the_mean_of_mann_whitney_statistics(seed):
+    first, second = runs_of(seed), runs_of(seed + 100, runs=3)
+    chances = [
+        stats.mannwhitneyu(a, b).statistic / (len(a) * len(b))
+        for a, b in zip(first.T, second.T, strict=True)
+    ]
+    assert probability_of_improvement(first, second) == pytest.approx(np.mean(chances))
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_a_profile_counts_the_scores_above_each_threshold(seed):
+    flat, thresholds = runs_of(seed).ravel().tolist(), [-1.0, 2.0, 2.5, 7.0]
+    expected = [sum(value > each for value in flat) / len(flat) for each in thresholds]
+    assert performance_profile(runs_of(seed), thresholds) == pytest.approx(expected)

@@ -6,13 +6,11 @@ import json
 import math
 
 import msgspec
-import numpy as np
 import pytest
 
-from reports.analysis.curves import NOTHING, find_switches, find_winners
 from reports.analysis.rows import ReportError
 from reports.decide import decide, decision_text
-from tests.reports.formula_results import THREE, Formula, curve, table
+from tests.reports.formula_results import THREE, Formula, table
 
 
 def change(decision, changed, direction):
@@ -139,41 +137,3 @@ def test_equal_results_give_equal_decisions_that_json_can_hold(results):
     loaded = json.loads(msgspec.json.encode(first))
     assert loaded["candidates"][0]["difference"]["low"] is None
     assert loaded["candidates"][0]["method"] == "ours"
-
-
-def test_winners_on_a_grid_are_those_of_brute_force():
-    generator = np.random.default_rng(3)
-    spp = [0.5, 1.0, 2.0, 4.0]
-    curves = [
-        curve(f"m{i}", spp, np.sort(generator.uniform(15, 30, 4)), generator.uniform(1, 60))
-        for i in range(5)
-    ]
-    costs, deadlines = np.exp(generator.uniform(np.log(0.1), np.log(300), (2, 400)))
-    winners = find_winners(curves, costs, deadlines)
-    budgets = np.geomspace(0.5, 4, 20_001)
-    for place, (cost, deadline) in enumerate(zip(costs, deadlines, strict=True)):
-        best, index = -np.inf, NOTHING
-        for i, each in enumerate(curves):
-            fits = budgets[each.fixed_ms[0] + cost * budgets <= deadline]
-            if (
-                len(fits)
-                and (value := float(np.interp(np.log(fits[-1]), np.log(spp), each.units[:, 0])))
-                > best
-            ):
-                best, index = value, i
-        assert winners.first[place] == index
-
-
-def test_a_switch_is_found_where_the_closed_form_has_it():
-    """20 + log2 s after 1 ms and 21 + log2 s after 4 ms are equal where T - 1 = 2 (T - 4)."""
-    fast, slow = (
-        curve(n, [1, 2, 4], [a, a + 1, a + 2], ms) for n, a, ms in (("f", 20, 1), ("s", 21, 4))
-    )
-
-    def leader(deadlines):
-        return find_winners([fast, slow], np.full_like(deadlines, 2.0), deadlines).first
-
-    points = [*fast.frame_ms(2.0), *slow.frame_ms(2.0)]
-    switches = find_switches(leader, points)
-    assert [(s.before, s.after) for s in switches] == [(NOTHING, 0), (0, 1)]
-    assert [s.at for s in switches] == pytest.approx([3.0, 7.0])

@@ -35,7 +35,7 @@ def table(values, preset="real", budgets=(1.0,), by_scene=STEADY, metrics=("psnr
 
 
 def write(tmp_path, results, **options):
-    return real.write(results, tmp_path, draws=100, **options)[0].read_text()
+    return real.write(results, tmp_path, **options)[0].read_text()
 
 
 def rows_of(page, title):

@@ -6,12 +6,10 @@ from functools import partial
 from itertools import combinations, product
 
 import matplotlib as mpl
-import pandas as pd
 import pytest
-from matplotlib.image import imread
 
 from reports import recovery
-from reports.analysis.scores import Scores, metrics_with_values
+from reports.analysis.scores import Scores
 from reports.layout import style
 from reports.recovery import (
     MAX_PANELS,
@@ -21,7 +19,7 @@ from reports.recovery import (
     measure_recoveries,
     measure_span,
 )
-from rlbench.benchmark.results import EVENT_PREFIX, MissingRowsError, Row, to_dataframe
+from rlbench.benchmark.results import EVENT_PREFIX, Row, to_dataframe
 
 FRAMES, CUT, LIGHT = 20, 10, 15
 LEVEL = {"memory": 30.0, "steady": 25.0}
@@ -94,21 +92,16 @@ def test_a_method_without_memory_recovers_at_once_and_one_with_memory_later():
     assert len(found) == 2 * 2 * 2 * 2  # methods, clips, budgets, events
 
 
-def test_the_page_and_its_figure_are_written_and_name_events_that_are_left_out(tmp_path):
+def test_the_page_names_events_that_are_left_out(tmp_path):
     rows = table(events=((7, "light"), (CUT, "cut")), clips=("hall-cut",))
-    files = recovery.write(rows, tmp_path, draws=100)
-    suffixes = ("md", "csv", "tex", "png", "pdf", "svg")
-    assert [f.name for f in files] == [f"recovery.{suffix}" for suffix in suffixes]
-    page = files[0].read_text()
+    page = recovery.write(rows, tmp_path)[0].read_text()
     assert "### Frames to recover, a cut" in page
     assert "| steady | 0.0 | 0.0 |" in page  # one clip has no interval
     assert "hall-cut: light at frame 7, as the next event or the end is 3 frames later" in page
-    assert len(pd.read_csv(files[1])) == 4
-    assert 0.01 < (imread(files[3])[..., :3].min(2) < 0.9).mean() < 0.7
 
 
 def test_means_have_an_interval_over_scenes_and_say_where_they_are_a_bound():
-    summary = recovery.summarize(measure_recoveries(Scores(table())), seed=0, draws=100)
+    summary = recovery.summarize(measure_recoveries(Scores(table())))
     memory = summary.set_index(["method", "column"]).loc[("memory", "frames")]
     assert memory[["mean", "low", "high"]].drop_duplicates().to_numpy().tolist() == [[3, 3, 3]]
     assert (memory["bounds"] == memory["events"]).all()
@@ -146,12 +139,3 @@ def test_no_label_at_the_end_of_a_curve_is_cut_or_meets_the_next_panel(name):
     assert sum(text.startswith(name) for text in names) == 4
     assert all(box.x0 >= 0 and box.x1 <= figure.bbox.x1 for box in boxes)
     assert not any(a.overlaps(b) for a, b in combinations(boxes, 2))
-
-
-def test_results_without_an_event_have_no_report(tmp_path):
-    with pytest.raises(MissingRowsError, match="no clip has a cut or a light change"):
-        recovery.write(table(events=()), tmp_path)
-
-
-def test_events_are_no_metric_of_other_reports():
-    assert metrics_with_values(table()) == ["psnr"]

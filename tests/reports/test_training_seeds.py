@@ -6,12 +6,10 @@ import math
 from dataclasses import replace
 
 import numpy as np
-import pandas as pd
 import pytest
 from scipy import stats
 
 from reports import training_seeds
-from reports.analysis import training_differences
 from reports.analysis.rows import ReportError
 from reports.analysis.scores import Scores, mean_over_scenes
 from rlbench.benchmark.results import MissingRowsError, to_dataframe
@@ -43,12 +41,6 @@ def table_rows(page, title="Standard deviation between"):
 def records():
     scores = Scores(to_dataframe(trained_rows()))
     return training_seeds.deviations(scores).set_index("target_spp")
-
-
-def test_markdown_csv_and_latex_are_write_and_read(tmp_path):
-    files = training_seeds.write(to_dataframe(trained_rows()), tmp_path)
-    assert [file.name for file in files] == ["seeds.md", "seeds.csv", "seeds.tex"]
-    assert len(pd.read_csv(files[1])) == 5
 
 
 @pytest.mark.parametrize("spp", [0.5, 4.0])
@@ -83,7 +75,7 @@ def test_methods_are_compared_by_welchs_test_over_trainings(tmp_path):
     ours, ntas = SHIFTS, (0.3, -0.1, 0.2, 0.0)
     table = trained_rows() + trained_rows(ntas, name="ntas@seed", method="ntas")
     scores = Scores(to_dataframe(table))
-    records = training_differences.differences_to(mean_over_scenes(scores.scene_means))
+    records = training_seeds.differences_to(mean_over_scenes(scores.scene_means))
     row = records.set_index("target_spp").loc[1.0]
     gap = np.mean(ntas) - np.mean(ours) + 28.6 - 29.9
     variances = [np.var(each, ddof=1) / len(each) for each in (ntas, ours)]
@@ -127,14 +119,6 @@ def test_a_training_that_lacks_a_scene_is_left_out_and_listed(tmp_path):
     assert "- ours@seed2 at 1 spp: no psnr on hall" in page
 
 
-def test_a_series_that_lacks_a_scene_of_another_series_has_no_mean(tmp_path):
-    other = trained_rows(name="ours/A2@seed", method="ours")
-    table = trained_rows() + [r for r in other if r.scene != "hall"]
-    page = write_and_read(table, tmp_path)[0]
-    assert {cells[0] for cells in table_rows(page)} == {"ours@seed0, ..."}
-    assert "- ours/A2@seed1 at 1 spp: no psnr on hall" in page
-
-
 def test_folds_of_a_cross_validation_are_no_series(tmp_path):
     """Each fold is scored on its held-out scene, so no two folds have a common scene."""
     folds = dict(zip(SCENES, range(4), strict=True))
@@ -159,6 +143,11 @@ def test_equal_weights_under_two_names_are_refused(tmp_path):
         write_and_read(table, tmp_path)
 
 
-def test_latex_escapes_underscores(tmp_path):
-    tex = write_and_read(trained_rows(name="ours@s_"), tmp_path)[2]
-    assert r"ours@s\_0, ... & 0.5 & 3 &" in tex
+def test_the_interval_of_a_deviation_covers_the_truth_at_its_level():
+    drawn = np.random.default_rng(1).normal(0, 0.06, (2000, 5))
+    is_covered = [
+        (d := training_seeds.std_with_interval(five)).low <= 0.06 <= d.high for five in drawn
+    ]
+    error = 4 * math.sqrt(0.95 * 0.05 / 2000)  # 4 standard errors
+    assert np.mean(is_covered) == pytest.approx(0.95, abs=error)
+    assert math.isnan(training_seeds.std_with_interval([21.0]).deviation)

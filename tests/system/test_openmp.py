@@ -10,7 +10,7 @@ import pytest
 
 SCRIPT = """
 import sys
-from rlbench.system.openmp import wait_asleep
+from rlbench.system.process_settings import wait_asleep
 assert "torch" not in sys.modules
 wait_asleep()
 import torch

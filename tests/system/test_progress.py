@@ -14,7 +14,7 @@ from rich.progress import Progress
 import rlbench
 from rlbench.cli import console as cli
 from rlbench.parallel.executor import LOCAL
-from rlbench.render.jobs.progress import new_or_given_bar
+from rlbench.render.jobs.render_clips import new_or_given_bar
 from rlbench.system.progress import LoggedProgress
 
 DEADLINE_S = 20.0  # until a line must have been written, on a busy machine

@@ -6,7 +6,6 @@ interruption.
 
 from __future__ import annotations
 
-import argparse
 import time
 from collections.abc import Callable, Mapping
 from functools import partial
@@ -18,6 +17,7 @@ from rich.progress import Progress
 from torch import nn
 
 from methods.ours import LATENT
+from methods.ours.experiments.command import make_parser
 from methods.ours.experiments.toy_evaluation import (
     TABLE,
     Evaluation,
@@ -179,9 +179,27 @@ def compare(
             write_csv(file, [row for training_rows in scores.values() for row in training_rows])
 
 
+DESCRIPTION = f"""Train the sampler of `ours` by every learner on a problem whose optimal allocation
+is known. Write the share of the optimal error reduction that each reaches to OUT/{TABLE}.
+Trainings that are in the table are not run again.
+Then draw the figure: python -m reports.known_optimum OUT"""
+EXAMPLES = (
+    "--out docs",
+    '--out /tmp/try --frames 500 --seeds 0 --learners "surrogate;reinforce"',
+)
+OPTIONS = {
+    "--out": (Path("docs"), "folder of the table"),
+    "--frames": (1600, "frames of each training"),
+    "--side": (32, "side of a frame, a multiple of 8 pixels"),
+    "--seeds": ("0,1,2", "seeds of weights, scenes and actions"),
+    "--learners": (";".join([*TORCH, *RLLIB]), 'separated by ";"'),
+    "--modes": (",".join(MODES), "of the problem"),
+}
+
+
 def main() -> None:
     """Run the command line."""
-    parser = _parser()
+    parser = make_parser(PROGRAM, DESCRIPTION, EXAMPLES, OPTIONS)
     arguments = parser.parse_args()
     names, modes = arguments.learners.split(";"), arguments.modes.split(",")
     options = (("--learners", names, [*TORCH, *RLLIB]), ("--modes", modes, list(MODES)))
@@ -199,37 +217,6 @@ def main() -> None:
         compare(arguments.out / TABLE, arguments.frames, arguments.side, seeds, names, modes)
     except ValueError as error:
         parser.error(str(error))
-
-
-def _parser() -> argparse.ArgumentParser:
-    parser = argparse.ArgumentParser(
-        prog=PROGRAM,
-        formatter_class=argparse.RawDescriptionHelpFormatter,
-        description="Train the sampler of `ours` by every learner on a problem whose optimal\n"
-        "allocation is known. Write the share of the optimal error reduction that each\n"
-        f"reaches to OUT/{TABLE}. Trainings that are in the table are not run again.\n"
-        "Then draw the figure: python -m reports.known_optimum OUT",
-        epilog=f"examples:\n  {PROGRAM} --out docs\n"
-        f'  {PROGRAM} --out /tmp/try --frames 500 --seeds 0 --learners "surrogate;reinforce"',
-    )
-    learners, modes = ";".join([*TORCH, *RLLIB]), ",".join(MODES)
-    parser.add_argument(
-        "--out", type=Path, default=Path("docs"), help="folder of the table (default: docs)"
-    )
-    parser.add_argument(
-        "--frames", type=int, default=1600, help="frames of each training (default: 1600)"
-    )
-    parser.add_argument(
-        "--side", type=int, default=32, help="side of a frame, a multiple of 8 pixels (default: 32)"
-    )
-    parser.add_argument(
-        "--seeds", default="0,1,2", help="seeds of weights, scenes and actions (default: 0,1,2)"
-    )
-    parser.add_argument(
-        "--learners", default=learners, help=f'separated by ";" (default, all: "{learners}")'
-    )
-    parser.add_argument("--modes", default=modes, help=f"of the problem (default, all: {modes})")
-    return parser
 
 
 if __name__ == "__main__":

@@ -5,7 +5,6 @@ Command: python -m methods.ours.experiments.retrain_sampler --by rllib-appo --fr
 
 from __future__ import annotations
 
-import argparse
 import shlex
 import sys
 from collections.abc import Callable
@@ -18,6 +17,7 @@ from rich.progress import Progress
 from torch import nn
 
 from methods.ours import FAMILY, VARIANTS, Config
+from methods.ours.experiments.command import make_parser
 from methods.ours.initialization import wire_contrast
 from methods.ours.method import CARDS, Ours, assemble
 from methods.ours.networks import Networks, Sampler
@@ -187,10 +187,42 @@ def _card(
     )
 
 
+DESCRIPTION = """Train the sampler of `ours` or `ours/paper` alone, from weights that request the
+density of the contrast rule (`ours`) or a uniform one (`ours/paper`), behind the shipped encoder
+and denoiser. Write OUT/LEARNER.safetensors, and print the PSNR on two validation clips.
+
+Score the weights: rlbench run -m ours --weights LEARNER=FILE
+(for surrogate and gamma: -m ours/A1)."""
+EXAMPLES = (
+    "--by reinforce",
+    "--by rllib-appo --frames 200 --out /tmp/x",
+    "--by rllib-appo --variant paper --one-policy",
+)
+OPTIONS: dict[str, tuple[str | int | Path | bool, str]] = {
+    "--by": ("reinforce", f"learner, one of: {', '.join([*LEARNERS, RLLIB_APPO])}"),
+    "--variant": ("", "paper: train the sampler of ours/paper, and not that of ours"),
+    "--one-policy": (
+        False,
+        "with rllib-appo: one ratio and one reward for the image, as in the paper",
+    ),
+    "--frames": (2000, "crops to train on"),
+    "--crop": (128, "pixels, side of a crop"),
+    "--seed": (0, "of crops and actions"),
+    "--out": (Path("runs/samplers"), "folder"),
+}
+
+
 def main() -> None:
     """Run the command line."""
-    parser = _parser()
+    options = {**OPTIONS, "--clips": (paths.clips_folder() / "train", "folder of clips")}
+    parser = make_parser(PROGRAM, DESCRIPTION, EXAMPLES, options)
     arguments = parser.parse_args()
+    for option, value, known in (
+        ("--by", arguments.by, [*LEARNERS, RLLIB_APPO]),
+        ("--variant", arguments.variant, ["", "paper"]),
+    ):
+        if value not in known:
+            parser.error(f"{option} {value}: choose one of: {', '.join(filter(None, known))}")
     clips = sorted(file.parent for file in arguments.clips.glob("*/clip.toml"))
     if len(clips) < 3:
         parser.error(
@@ -213,54 +245,6 @@ def main() -> None:
         arguments.by, task, arguments.frames, validate, arguments.out, command
     ).items():
         Console().print(f"{row}: {psnr:.2f} dB on the validation clips, mean of 1 and 4 spp")
-
-
-def _parser() -> argparse.ArgumentParser:
-    parser = argparse.ArgumentParser(
-        prog=PROGRAM,
-        formatter_class=argparse.RawDescriptionHelpFormatter,
-        description="Train the sampler of `ours` or `ours/paper` alone, from weights that request\n"
-        "the density of the contrast rule (`ours`) or a uniform one (`ours/paper`),\n"
-        "behind the shipped encoder and denoiser. Write OUT/LEARNER.safetensors, and print\n"
-        "the PSNR on two validation clips.\n\n"
-        "Score the weights: rlbench run -m ours --weights LEARNER=FILE\n"
-        "(for surrogate and gamma: -m ours/A1).",
-        epilog=f"examples:\n  {PROGRAM} --by reinforce\n"
-        f"  {PROGRAM} --by rllib-appo --frames 200 --out /tmp/x\n"
-        f"  {PROGRAM} --by rllib-appo --variant paper --one-policy",
-    )
-    learners = [*LEARNERS, RLLIB_APPO]
-    clips, out = paths.clips_folder() / "train", Path("runs/samplers")
-    parser.add_argument(
-        "--by",
-        default="reinforce",
-        choices=learners,
-        metavar="LEARNER",
-        help=f"one of: {', '.join(learners)} (default: reinforce)",
-    )
-    parser.add_argument(
-        "--variant",
-        default="",
-        choices=["", "paper"],
-        help="train the sampler of ours/VARIANT (default: of ours)",
-    )
-    parser.add_argument(
-        "--one-policy",
-        action="store_true",
-        help="with rllib-appo: one ratio and one reward for the image, as in the paper",
-    )
-    parser.add_argument(
-        "--frames", type=int, default=2000, help="crops to train on (default: 2000)"
-    )
-    parser.add_argument(
-        "--clips", type=Path, default=clips, help=f"folder of clips (default: {clips})"
-    )
-    parser.add_argument(
-        "--crop", type=int, default=128, help="pixels, side of a crop (default: 128)"
-    )
-    parser.add_argument("--seed", type=int, default=0, help="of crops and actions (default: 0)")
-    parser.add_argument("--out", type=Path, default=out, help=f"folder (default: {out})")
-    return parser
 
 
 if __name__ == "__main__":

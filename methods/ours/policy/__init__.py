@@ -32,6 +32,7 @@ __all__ = [
     "StepResult",
     "StochasticLearner",
     "SurrogateLearner",
+    "gamma_gradient_per_sample",
     "make_learner",
 ]
 

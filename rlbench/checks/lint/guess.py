@@ -51,6 +51,7 @@ TO_PREVIOUS = MotionConvention().direction
 PERIODS = (8, 16, 32)  # of the jitter of engines
 Y_AXES: tuple[Literal["down", "up"], ...] = ("down", "up")
 MAX_JITTER_ERROR = 0.4  # of the jitter's change that a sequence does not explain
+MIN_EDGES = 16  # pixels of partial alpha that decide how colours are stored
 MEANS = 0.35  # correlation of noise: half that of a sample with a mean that it is half of
 DEMODULATED = 0.5  # of the deviation from the reference that is left after a product with albedo
 FLIPS = {
@@ -110,6 +111,8 @@ def guess_layout(source: Path) -> Guess:
     emission = tables.pop("emission", None)
     reasons = {name: "by its names" for name in tables}
     for name, reason in (_read_counts(source, tables) | _read_dashes(source, tables)).items():
+        reasons[name] += f"; {reason}"
+    for name, reason in _read_alpha(source, tables).items():
         reasons[name] += f"; {reason}"
     steps: list[Callable[[ClipArrays, Tables], dict[str, str]]] = [
         _read_background,
@@ -183,6 +186,46 @@ def _read_counts(source: Path, tables: Tables) -> dict[str, str]:
         found = "names count spp"
     tables["radiance"]["samples"] = "accumulated"
     return {"radiance": f"means of the first samples, because {found}"}
+
+
+def _read_alpha(source: Path, tables: Tables) -> dict[str, str]:
+    """Are colours multiplied by alpha, as EXR requires? Judged where alpha is partial.
+
+    A pixel of alpha a between a surface F and what is behind it, B, is a F + (1 - a) B if colours
+    are multiplied (or alpha is a mask beside a whole image), and F if they are not.
+    """
+    reasons = {}
+    stored = import_arrays(source, decode_layout(tables, "guess"))
+    for name in ("reference", "radiance"):
+        changed = {**tables, name: {**tables[name], "alpha": "straight"}}
+        try:
+            arrays = import_arrays(source, decode_layout(changed, "guess"))
+        except SourceError:  # it has no channel A
+            continue
+        colour, product = (
+            (each.reference if name == "reference" else each.pools["path"].mean(1)).mean(1, True)
+            for each in (stored, arrays)
+        )
+        found = colour > 0
+        alpha = (product / colour.where(found, 1.0)).where(found, 0.0)
+        surface, behind = (
+            local_mean(colour * mask) / local_mean(mask.float()).clamp_min(1e-6)
+            for mask in (found & (alpha > 0.999), alpha < 0.001)
+        )
+        edge = found & (alpha > 0.05) & (alpha < 0.95) & (surface > 0)
+        over = (alpha * surface + (1 - alpha) * behind).clamp_min(1e-9)
+        errors = [
+            float((colour / model.clamp_min(1e-9))[edge].log().abs().median())
+            for model in (surface, over)
+        ]
+        hidden = float((found & (alpha < 0.001)).float().mean())
+        if int(edge.sum()) >= MIN_EDGES and errors[0] < 0.5 * errors[1]:
+            tables[name]["alpha"] = "straight"
+            factors = " against ".join(f"{math.exp(error):.2f}" for error in errors)
+            reasons[name] = f"likely: not multiplied by alpha, edges differ by {factors}"
+        elif hidden > 0:
+            reasons[name] = f"{hidden:.0%} of the pixels have colour at alpha 0, which is kept"
+    return reasons
 
 
 def _read_dashes(source: Path, tables: Tables) -> dict[str, str]:

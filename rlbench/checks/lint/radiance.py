@@ -29,7 +29,10 @@ MAX_COMMON_NOISE = 0.3  # excess of the error of the mean over that predicted fr
 MAX_SHARED = 0.01  # correlation of samples with the difference of the halves; 64 shared spp give
 # 0.09
 MAX_BRIGHTNESS_ERROR = 0.03  # of the samples' mean, relative to the reference's mean
-RESEED = "render each sample with a different seed, unfiltered"
+RESEED = (
+    "render each sample with a different seed, in Cycles also with a different sample offset, "
+    "unfiltered"
+)
 NO_FILTER = "use a box filter of one pixel, no denoiser and no upscaling"
 PATTERN_REMEDIES = {
     "the pixel to the right": NO_FILTER,

@@ -117,8 +117,9 @@ def read_frame(
         for image in reader.read_all("reference", 2)
     ]
     if "depth" in gbuffer:  # what a sky has in place of a normal or of motion is no damage
-        surface = np.isfinite(gbuffer["depth"]) | reader.broken.get("depth", np.False_)
-        reader.broken.update({name: mask & surface for name, mask in reader.broken.items()})
+        surface = np.isfinite(gbuffer["depth"]) | reader.broken.get("depth", False)
+        for name, mask in reader.broken.items():
+            reader.broken[name] = np.asarray(mask & surface)
     files = {name: reader.files.images[name] for name in ("radiance", "reference")}
     return ImportedFrame(
         gbuffer=gbuffer,

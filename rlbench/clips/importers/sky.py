@@ -100,8 +100,8 @@ class _Sky:
         """Motion of the sky in a frame; outside where there is no camera, or none before it."""
         if self.camera is None or number == self.sequence.first_number:
             return np.multiply(OUTSIDE, size[::-1])
-        poses = [self._pose(self.camera, each) for each in (number, number - 1)]
-        return motion_at_infinity(*poses, self.fov, size)
+        pose, previous = (self._pose(self.camera, each) for each in (number, number - 1))
+        return motion_at_infinity(pose, previous, self.fov, size)
 
     def _pose(self, camera: Path, number: int) -> Float[Array, "3 3"]:
         rotation = read_rotation(camera, number - self.sequence.first_number)

@@ -17,10 +17,9 @@ import numpy as np
 
 from rlbench.clips.exposure import area_luminance, exposure_from_areas
 from rlbench.clips.stored import write_header
-from rlbench.render.cycles import passes
-from rlbench.render.cycles.frames import CyclesJob, fastest_sample_s, render_frames
+from rlbench.render.cycles.frames import CyclesJob, fastest_sample_s, read_radiance, render_frames
+from rlbench.render.cycles.process import CyclesParameters, ImageTask, image_seed
 from rlbench.render.cycles.scene_file import open_blender_file
-from rlbench.render.cycles.worker_job import CyclesParameters, ImageTask, image_seed
 from rlbench.render.presets import Preset
 from rlbench.render.scene import SceneError
 from rlbench.render.user.clip import UserSceneOptions, describe_job, plan_clip
@@ -95,7 +94,7 @@ def _estimate_exposure(cycles_job: CyclesJob) -> float:
         ]
         for _ in cycles_job.render_images(previews, log, size=PREVIEW_SIZE):
             pass
-        images = [passes.read_radiance(preview.file, PREVIEW_SIZE) for preview in previews]
+        images = [read_radiance(preview.file, PREVIEW_SIZE) for preview in previews]
     areas = np.stack([area_luminance(image) for image in images])
     if black := [str(index) for index, frame in enumerate(areas) if not frame.any()]:
         raise SceneError(

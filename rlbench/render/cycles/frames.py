@@ -1,7 +1,10 @@
 """Renders the frames of a clip with Cycles: geometry of all frames, then radiance in rounds.
 
 The worker writes single images into a work folder beside the frames. A frame is assembled once all
-its images exist and its reference is good enough; images that exist are not rendered again.
+its images exist and its reference is good enough; images that exist are not rendered again. Passes
+are converted to the conventions of a clip. Geometry is rendered with sample 0 alone, which Cycles
+sends through pixel centres, and which is the only sample to write depth. Verified against analytic
+scenes with Blender 4.5.15.
 """
 
 from __future__ import annotations
@@ -14,19 +17,45 @@ import numpy as np
 from jaxtyping import Float
 from numpy import ndarray as Array
 
+from rlbench.clips.exr import read_exr
 from rlbench.clips.stored import write_frame
-from rlbench.render.cycles import passes
-from rlbench.render.cycles.process import run_worker
+from rlbench.render.cycles.process import (
+    CyclesParameters,
+    ImageTask,
+    image_seed,
+    render_job,
+    run_worker,
+)
 from rlbench.render.cycles.scene_file import BlenderScene
-from rlbench.render.cycles.worker_job import CyclesParameters, ImageTask, image_seed, render_job
 from rlbench.render.jobs import references
 from rlbench.render.jobs.job import Job
+from rlbench.render.scene import Pose, Scene
 from rlbench.system import paths
 
-__all__ = ["CyclesJob", "fastest_sample_s", "reference_images", "render_frames"]
+__all__ = [
+    "CyclesJob",
+    "GEOMETRY",
+    "convert_passes",
+    "fastest_sample_s",
+    "read_gbuffer",
+    "read_radiance",
+    "reference_images",
+    "render_frames",
+    "sky_motion",
+]
 
 SAMPLES_PER_IMAGE = 32  # of a reference: an interruption loses at most so many
 WORK_FOLDER = ".cycles"  # beside the frames, until all are complete
+LAYER = "view"  # the worker's name for the view layer
+BACKGROUND_DEPTH = 1e9  # Cycles writes 1e10 for background
+MIN_NORMAL_LENGTH = 0.1  # shorter normals are background
+GEOMETRY = [
+    *(f"{LAYER}.Denoising Albedo.{c}" for c in "RGB"),
+    *(f"{LAYER}.Normal.{c}" for c in "XYZ"),
+    f"{LAYER}.Depth.Z",
+    *(f"{LAYER}.Vector.{c}" for c in "XY"),
+]
+COMBINED = [f"{LAYER}.Combined.{c}" for c in "RGB"]
 
 
 @dataclass(frozen=True)
@@ -156,9 +185,9 @@ def _finish_frame(cycles_job: CyclesJob, index: int, rounds: int) -> None:
     if rounds < preset.max_reference_rounds and ceiling_db < preset.min_noise_ceiling_db:
         return
     file = _geometry_file(cycles_job.work_folder, index)
-    gbuffer = passes.read_gbuffer(file, job.scene, index, preset.size)
+    gbuffer = read_gbuffer(file, job.scene, index, preset.size)
     samples = [image for image in images if image.file.name.startswith("path.")]
-    pool = np.stack([passes.read_radiance(image.file, preset.size) for image in samples])
+    pool = np.stack([read_radiance(image.file, preset.size) for image in samples])
     if preset.max_reference_rounds > 1:
         references.write_spp(job.folder, index, 2 * preset.reference_spp * rounds)
     gbuffer = {name: gbuffer[name] for name in job.buffers}
@@ -173,10 +202,57 @@ def _mean_radiance(
 ) -> Float[Array, "h w 3"]:
     """The mean of all samples of one half of a reference, in float32."""
     own = [image for image in images if image.file.name.startswith(f"reference{half}.")]
-    sums = [passes.read_radiance(image.file, size) * np.float64(image.spp) for image in own]
+    sums = [read_radiance(image.file, size) * np.float64(image.spp) for image in own]
     total = np.sum(sums, axis=0) / sum(image.spp for image in own)
     return np.asarray(total.astype(np.float32))
 
 
 def _geometry_file(folder: Path, index: int) -> Path:
     return folder.absolute() / f"view.{index:04d}.exr"
+
+
+def read_gbuffer(
+    file: Path, scene: Scene, index: int, size: tuple[int, int]
+) -> dict[str, Float[Array, "h w channels"]]:
+    """The G-buffer of frame `index` from its geometry file. Raises ClipError if it is broken."""
+    return convert_passes(read_exr(file, GEOMETRY, *size).astype(np.float32), scene, float(index))
+
+
+def convert_passes(
+    planes: Float[Array, "9 h w"], scene: Scene, time: float
+) -> dict[str, Float[Array, "h w channels"]]:
+    """The G-buffer from the channels GEOMETRY, float32, in the conventions of `GBuffer`.
+
+    Albedo is Cycles' denoising albedo, which follows mirrors and glass; it is clipped to [0, 1],
+    because it contains the emission of emitters, and is 0 for background. Normals are normalized.
+    Depth is already along the view axis; background becomes +inf. Cycles' Vector is (previous -
+    current) with y up, so y is negated; it is 0 for background, whose motion is computed from the
+    camera's rotation.
+    """
+    albedo, normal, depth, vector = np.split(np.moveaxis(planes, 0, -1), [3, 6, 7], axis=-1)
+    length = np.linalg.norm(normal, axis=-1, keepdims=True)
+    empty = (depth > BACKGROUND_DEPTH) | (length < MIN_NORMAL_LENGTH)
+    motion = vector * np.array([1, -1], np.float32)
+    sky = sky_motion(scene, time, *empty.shape[:2])
+    unit_normal = normal / np.maximum(length, MIN_NORMAL_LENGTH)
+    return {
+        "albedo": np.where(empty, 0, np.clip(np.nan_to_num(albedo), 0, 1)).astype(np.float32),
+        "normal": np.where(empty, 0, unit_normal).astype(np.float32),
+        "depth": np.where(empty, np.inf, depth).astype(np.float32),
+        "motion": np.where(empty, sky, motion).astype(np.float32),
+    }
+
+
+def sky_motion(scene: Scene, time: float, height: int, width: int) -> Float[Array, "h w 2"]:
+    """Motion vectors of points at infinity, in pixels, from the camera alone."""
+    rows, columns = np.indices((height, width)).reshape(2, -1)
+    film = np.stack([columns, rows], 1) + 0.5
+    directions = Pose.at_time(scene, time).ray_directions(film, height, width)
+    points = np.column_stack([directions, np.zeros(len(film))])
+    previous, _ = Pose.at_time(scene, time - 1).project(points, height, width)
+    return np.asarray(previous - film).reshape(height, width, 2)
+
+
+def read_radiance(file: Path, size: tuple[int, int]) -> Float[Array, "h w 3"]:
+    """Linear radiance of an image, float32. Raises ClipError if the file is broken."""
+    return np.moveaxis(read_exr(file, COMBINED, *size).astype(np.float32), 0, -1)

@@ -14,12 +14,14 @@ import numpy as np
 from jaxtyping import Float
 from numpy import ndarray as Array
 
-from rlbench.render.cycles.process import TESTED_BPY_VERSION, CyclesError, run_worker
-from rlbench.render.cycles.worker_job import (
+from rlbench.render.cycles.process import (
+    TESTED_BPY_VERSION,
     WORKER_VERSION,
+    CyclesError,
     CyclesParameters,
     convert_axes,
     inspect_job,
+    run_worker,
 )
 from rlbench.render.scene import Camera, Scene, SceneError
 from rlbench.render.user import camera_path

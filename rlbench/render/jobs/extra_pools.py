@@ -12,8 +12,9 @@ from __future__ import annotations
 import gc
 import math
 from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from jaxtyping import Float
@@ -25,24 +26,25 @@ from rlbench.clips.frame_files import exr_path, write_pool
 from rlbench.clips.header import FILE
 from rlbench.clips.stored import Header, read_header, write_header
 from rlbench.pools import PoolKind, SampleStreams
-from rlbench.render.jobs.frame_worker import SEED
-from rlbench.render.jobs.job import FRAME_POOLS, Job
-from rlbench.render.mitsuba.pool_stage import PoolStage
+from rlbench.render.jobs.job import FRAME_POOLS, SEED, Job
+from rlbench.render.mitsuba import load
+from rlbench.render.mitsuba.gbuffer import render_gbuffer
+from rlbench.render.mitsuba.open_tracer import WavefrontTracer
 from rlbench.render.mitsuba.tracer import MAX_PATHS
 from rlbench.render.mitsuba.variant import select_variant
-from rlbench.render.mitsuba.wavefront import WavefrontTracer
 from rlbench.render.scene import Scene
 from rlbench.system import paths
 from rlbench.system.provenance import machine
 
 __all__ = [
     "MissingPool",
+    "PoolStage",
     "add_pool",
     "add_pools",
-    "open_streams",
     "find_missing_pools",
-    "relative_cost",
+    "open_streams",
     "pool_sample_ms",
+    "relative_cost",
 ]
 
 TIMED_SPP = 4  # samples per pixel and frame in a time measurement
@@ -192,3 +194,52 @@ def _without_pool(header: Header, pool: str) -> Header:
     pools = tuple(name for name in header.pools if name != pool)
     times = tuple(header.sample_ms_of(name) for name in pools)
     return replace(header, pools=pools, pools_ms=times if len(pools) > 1 else ())
+
+
+@dataclass
+class PoolStage:
+    """A scene at the tracer's current time; implements `rlbench.pools.RenderContext`."""
+
+    tracer: WavefrontTracer
+    stream: str  # of random numbers
+    _motion: tuple[float, Any, Any] | None = field(default=None, repr=False)
+
+    @property
+    def height(self) -> int:
+        """Image height in pixels."""
+        return self.tracer.height
+
+    @property
+    def width(self) -> int:
+        """Image width in pixels."""
+        return self.tracer.width
+
+    @property
+    def scene(self) -> Any:
+        """The Mitsuba scene at the current time."""
+        return self.tracer.mi_scene
+
+    @property
+    def max_depth(self) -> int:
+        """Longest light path, in edges."""
+        return self.tracer.scene.max_depth
+
+    def camera_rays(self, x: Any, y: Any) -> Any:
+        """The camera rays through film positions in pixels (mi.Float)."""
+        return self.tracer.rays(x, y)
+
+    def sampler(self, pixels: Any, samples: Any) -> Any:
+        """A sampler whose lanes are pixels and samples (mi.UInt32)."""
+        return self.tracer.make_sampler(pixels, samples, self.stream)
+
+    def motion(self) -> tuple[Any, Any]:
+        """Motion vectors x and y of every pixel (mi.Float): pixels to the previous position."""
+        import mitsuba as mi
+
+        if self._motion is None or self._motion[0] != self.tracer.time:
+            motion = np.zeros((self.height, self.width, 2), np.float32)
+            if not self.tracer.scene.static:
+                motion = render_gbuffer(self.tracer, ("motion",))["motion"]
+            x, y = (load.upload(mi.Float, motion[..., axis]) for axis in range(2))
+            self._motion = self.tracer.time, x, y
+        return self._motion[1:]

@@ -1,26 +1,58 @@
-"""A render job: one clip, which of its frames are missing, and what its frames depend on."""
+"""A render job: one clip, which of its frames are missing, and how one of them is traced.
+
+The process that started the job writes the frames to disk, wherever they are traced.
+"""
 
 from __future__ import annotations
 
+import gc
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+from jaxtyping import Float
+from numpy import ndarray as Array
 
 from rlbench.clips.header import FILE, Header, names_in_digests
-from rlbench.clips.stored import ClipError, has_frame
+from rlbench.clips.stored import ClipError, has_frame, write_frame
 from rlbench.frames import BUFFERS
+from rlbench.parallel.executor import ProgressCallback, Resources
 from rlbench.render.fingerprint import fingerprint
+from rlbench.render.jobs import references
 from rlbench.render.jobs.references import SPP_FILES, read_spp, stored_noise_ceiling_db
+from rlbench.render.mitsuba.gbuffer import render_gbuffer
+from rlbench.render.mitsuba.open_tracer import Tracer, describe_tracer, open_tracer
+from rlbench.render.mitsuba.variant import select_variant
 from rlbench.render.presets import Preset
 from rlbench.render.scene import Scene
 from rlbench.system import paths
 from rlbench.system.provenance import machine
 
-__all__ = ["CONTENT_KEY_FILE", "FRAME_POOLS", "Job", "read_content_key"]
+__all__ = [
+    "TraceTimes",
+    "measure_trace_times",
+    "CONTENT_KEY_FILE",
+    "FRAME_POOLS",
+    "FrameBuffers",
+    "FrameRenderer",
+    "FrameTask",
+    "Job",
+    "SEED",
+    "frame_resources",
+    "read_content_key",
+    "save_frame",
+]
 
 FRAME_POOLS = ("path",)  # pools that are traced with each frame; others are added to finished clips
 CONTENT_KEY_FILE = "scene.txt"  # beside the frames
+REPEATS = 9  # frames at one sample per pixel, of which times are taken
+GBUFFER_REPEATS = 3
+SEED = 0  # of all light paths; frames, samples and streams have keys of their own
+CPUS = 4  # per frame; more are of little use, as G-buffers and textures are made by one
 
 
 @dataclass(frozen=True, eq=False)
@@ -149,3 +181,91 @@ def read_content_key(folder: Path) -> str:
     """The content key of the frames in a folder; empty if `rlbench render` did not write them."""
     file = folder / CONTENT_KEY_FILE
     return file.read_text() if file.is_file() else ""
+
+
+@dataclass(frozen=True)
+class FrameTask:
+    """One frame to trace."""
+
+    clip_index: int  # into `FrameRenderer.jobs`
+    frame: int
+
+
+class FrameBuffers(NamedTuple):
+    """A traced frame: linear radiance, before exposure."""
+
+    gbuffer: dict[str, Any]  # [h w c], by buffer name
+    pool: Float[Array, "s h w 3"]  # independent 1-spp images
+    half_a: Float[Array, "h w 3"]  # of the reference
+    half_b: Float[Array, "h w 3"]
+    reference_spp: int  # samples per pixel of both halves together
+
+
+@dataclass
+class FrameRenderer:
+    """Traces frames of several clips. The last scene stays open, as opening takes seconds."""
+
+    jobs: Sequence[Job]
+    _open: tuple[int, Tracer] | None = None
+
+    def __call__(self, task: FrameTask, on_progress: ProgressCallback) -> FrameBuffers:
+        """Trace one frame; `on_progress` receives the light paths of each launch."""
+        job, tracer = self.jobs[task.clip_index], self.open_clip_scene(task.clip_index)
+        height, width = job.preset.size
+
+        def on_samples(spp: int) -> None:
+            on_progress(spp * height * width)
+
+        tracer.set_time(float(task.frame))
+        gbuffer = render_gbuffer(tracer, job.buffers)
+        pool = tracer.trace_images(job.preset.pool_spp)
+        on_samples(job.preset.pool_spp)
+        return FrameBuffers(
+            gbuffer,
+            pool,
+            *references.trace_reference(tracer, job.preset, job.scene.exposure, on_samples),
+        )
+
+    def open_clip_scene(self, clip_index: int) -> Tracer:
+        """The tracer of a clip's scene; the scene opened before is closed."""
+        if self._open is None or self._open[0] != clip_index:
+            self._open = None
+            gc.collect()  # while the old scene is alive, Dr.Jit compiles kernels for the next again
+            job = self.jobs[clip_index]
+            cap = job.preset.radiance_cap / job.scene.exposure
+            self._open = clip_index, open_tracer(job.scene, *job.preset.size, SEED, cap)
+        return self._open[1]
+
+
+def frame_resources() -> Resources:
+    """Resources of one frame: a few CPU cores, or one GPU."""
+    return Resources(CPUS, gpus=1 if select_variant().startswith("cuda") else 0)
+
+
+def save_frame(job: Job, index: int, frame: FrameBuffers) -> None:
+    """Write a frame to the folder of its clip; each file is complete or absent."""
+    if job.preset.max_reference_rounds > 1:
+        references.write_spp(job.folder, index, frame.reference_spp)
+    write_frame(job.folder, index, frame.gbuffer, {"path": frame.pool}, frame.half_a, frame.half_b)
+
+
+class TraceTimes(NamedTuple):
+    """Milliseconds of a full frame at one sample per pixel, and of a G-buffer."""
+
+    sample_p5_ms: float
+    sample_ms: float  # the median
+    sample_p95_ms: float
+    gbuffer_ms: float  # of the four standard buffers
+    timed_with: str  # tracer variant and threads
+
+    def written_to(self, header: Header) -> Header:
+        """The header with these times."""
+        return replace(header, **self._asdict())
+
+
+def measure_trace_times(tracer: Tracer) -> TraceTimes:
+    """The times of a tracer on this machine; the machine must be idle."""
+    times = tracer.measure_ms(lambda: tracer.trace_images(1, "pilot"), REPEATS)
+    gbuffers = tracer.measure_ms(lambda: render_gbuffer(tracer), GBUFFER_REPEATS)
+    p5, p50, p95 = np.percentile(times, [5, 50, 95]).tolist()
+    return TraceTimes(p5, p50, p95, float(np.median(gbuffers)), describe_tracer())

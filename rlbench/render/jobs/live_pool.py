@@ -33,6 +33,7 @@ __all__ = [
     "missing_samples",
     "open_live_clip",
     "open_wavefronts",
+    "scatter_factor",
     "scene_of_folder",
 ]
 
@@ -213,3 +214,18 @@ def missing_samples(
     start = np.cumsum(new) - new  # index of each pixel's first sample in the result
     slots = np.arange(new.sum()) - np.repeat(start - before[pixels], new)
     return np.repeat(pixels, new), slots
+
+
+def scatter_factor(tracer: Tracer, counts: Int[Tensor, "1 1 h w"]) -> float:
+    """Time of a sample at these counts divided by that of a sample of a full frame at 1 spp.
+
+    Both are traced in turn, so that other load on the machine slows both alike. Uniform counts have
+    about 1; scattered ones have more, because neighbouring paths are less alike, and very few have
+    much more, because a launch has a fixed cost. Raises ValueError without a sample.
+    """
+    drawn = counts.flatten().cpu().numpy()
+    if not drawn.sum():
+        raise ValueError("the counts are all zero; at least one sample is needed")
+    pixels, samples = missing_samples(np.zeros_like(drawn), drawn)
+    relative = tracer.relative_cost(lambda: tracer.trace(pixels, samples, "pilot"), 1)
+    return relative * drawn.size / float(drawn.sum())

@@ -10,38 +10,52 @@ import gc
 import importlib.metadata
 import inspect
 import logging
-from collections.abc import Iterable, Mapping
+import math
+from collections.abc import Collection, Iterable, Iterator, Mapping
+from contextlib import contextmanager
+from dataclasses import replace
 from functools import partial
+from hashlib import sha256
 from pathlib import Path
+from typing import TYPE_CHECKING
 
-from rich.progress import Progress
+from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn, TimeRemainingColumn
 
 from rlbench import registry
-from rlbench.clips.stored import Header, write_header
+from rlbench.clips.stored import ClipError, Header, read_header, write_header
+from rlbench.errors import OptionError
 from rlbench.parallel.executor import LOCAL, Executor, ProgressCallback
+from rlbench.registry.near_names import unknown_name
 from rlbench.render import presets
-from rlbench.render.jobs import extra_pools, progress
-from rlbench.render.jobs.frame_worker import (
+from rlbench.render.jobs import extra_pools
+from rlbench.render.jobs.job import (
     SEED,
     FrameRenderer,
     FrameTask,
+    Job,
     frame_resources,
+    measure_trace_times,
     save_frame,
 )
-from rlbench.render.jobs.job import Job
-from rlbench.render.jobs.trace_times import measure_trace_times
 from rlbench.render.mitsuba.open_tracer import Tracer, open_tracer
 from rlbench.render.mitsuba.variant import select_variant
 from rlbench.render.presets import Preset
 from rlbench.render.scene import Scene, SceneError
 from rlbench.system import paths
-from rlbench.system.progress import format_duration
+from rlbench.system.progress import LoggedProgress, format_duration
+from rlbench.system.provenance import machine
+
+if TYPE_CHECKING:
+    from rlbench.parallel.executor import Executor
 
 __all__ = [
     "ensure",
+    "preset_hash",
+    "remeasure_sample_ms",
     "preset_jobs",
     "render_clip",
     "render_missing",
+    "render_preset_clips",
     "scene_of_clip",
     "selected_names",
 ]
@@ -49,6 +63,8 @@ __all__ = [
 _logger = logging.getLogger(__name__)
 
 TRIAL_SPP = 8  # samples per pixel that are traced to estimate the rendering time
+SPEED_WINDOW_S = 120  # progress of this period gives the remaining time
+PARALLEL_SPEED_WINDOW_S = 3600  # the same if progress arrives in whole frames
 
 
 def ensure(
@@ -120,10 +136,10 @@ def render_missing(
         status = f"{len(job.missing_frames)} frames missing" if job in unfinished else "finished"
         _logger.info("clip %s: %s, in %s", job.name, status, job.folder)
     if unfinished:
-        with progress.new_or_given_bar(bar, executor) as active_bar:
+        with _new_or_given_bar(bar, executor) as active_bar:
             _render_all(unfinished, active_bar, executor)
     if missing := extra_pools.find_missing_pools(jobs):
-        with progress.new_or_given_bar(bar, LOCAL) as active_bar:
+        with _new_or_given_bar(bar, LOCAL) as active_bar:
             extra_pools.add_pools(missing, active_bar)
     return [job.folder for job in jobs]
 
@@ -240,3 +256,86 @@ def _make_header(job: Job, tracer: Tracer) -> Header:
     version = f"{importlib.metadata.version('mitsuba')} {select_variant()}"
     times = measure_trace_times(tracer)
     return times.written_to(job.make_header("mitsuba path", version, times.sample_ms, seed=SEED))
+
+
+@contextmanager
+def _new_or_given_bar(bar: Progress | None, executor: Executor) -> Iterator[Progress]:
+    """The given progress bar, or a new one on standard error."""
+    if bar:
+        yield bar
+        return
+    columns = (TextColumn("{task.description:>16}"), BarColumn(), TaskProgressColumn())
+    window = SPEED_WINDOW_S if executor.exclusive else PARALLEL_SPEED_WINDOW_S
+    with LoggedProgress(*columns, TimeRemainingColumn(), speed_estimate_period=window) as new_bar:
+        yield new_bar
+
+
+def render_preset_clips(
+    scenes: list[str] | None,
+    preset: str,
+    radiance_cap: float | None = None,
+    seeds: tuple[int, ...] | None = None,
+    buffers: list[str] | None = None,
+    executor: Executor | None = None,
+    pool_kinds: Collection[str] | None = None,
+    takes: str | None = None,
+) -> list[Path]:
+    """The clip folders of a preset, after rendering the missing frames.
+
+    `radiance_cap` and extra G-buffer `buffers` select a variant of the preset, in folders of its
+    own. `scenes`, seeds of generated scenes, and `takes` (main or all) replace those of the preset.
+    Of its sample pools only the given kinds are rendered; default all. Raises UnknownPresetError
+    and OptionError for an unknown preset or scene, and PresetError for other values.
+    """
+    selected = presets.get_preset(preset)
+    installed = registry.list_plugins("scenes")
+    for name in scenes or ():
+        if not {name, name.rpartition("-")[0]} & set(installed):
+            raise OptionError(unknown_name(f"no scene '{name}'", name, installed))
+    if radiance_cap is not None:
+        selected = selected.with_radiance_cap(radiance_cap)
+    if buffers:
+        selected = selected.with_buffers(buffers)
+    if pool_kinds is not None:
+        selected = selected.with_pools(pool_kinds)
+    if takes is not None:
+        selected = selected.with_takes(takes)
+    return ensure(selected, scenes or None, seeds, executor=executor or LOCAL)
+
+
+def preset_hash(preset: str) -> str:
+    """16 hex digits of the names and content keys of a preset's clips, and of its sample pools.
+
+    Nothing is rendered. Raises LookupError for an unknown preset.
+    """
+    jobs = preset_jobs(preset)
+    content = [f"{job.name} {' '.join(job.preset.pools)} {job.content_key}" for job in jobs]
+    return sha256("".join(content).encode()).hexdigest()[:16]
+
+
+def remeasure_sample_ms(folder: Path) -> Header:
+    """Measure the times of a clip of an installed scene, write its header and return it.
+
+    These are `sample_ms`, its percentiles and `gbuffer_ms`. The times of other pools keep their
+    ratio to the path tracer's, because that ratio was measured in alternating pairs, which other
+    load on the machine slows alike. Pixels do not change. Raises ClipError if another machine
+    rendered the clip.
+    """
+    header, this_machine = read_header(folder), machine().name
+    if header.device != this_machine:
+        raise ClipError(
+            f"clip {folder} was rendered on '{header.device}', so its time per sample cannot be "
+            f"measured on '{this_machine}'. Run this on '{header.device}'; `rlbench run --cost "
+            "measured` times samples on this machine"
+        )
+    size = header.height, header.width
+    tracer = open_tracer(scene_of_clip(header.name).inspect(header.frames, size), *size)
+    times = measure_trace_times(tracer)
+    del tracer
+    gc.collect()  # while the old scene is alive, Dr.Jit compiles kernels for the next one again
+    ratio = times.sample_ms / header.sample_ms if header.sample_ms > 0 else math.nan
+    others = (ms * ratio for ms in header.pools_ms[1:])  # the path tracer's pool comes first
+    pools_ms = (times.sample_ms, *others) if header.pools_ms else ()
+    remeasured = replace(times.written_to(header), pools_ms=pools_ms)
+    write_header(folder, remeasured)
+    return remeasured

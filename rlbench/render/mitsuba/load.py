@@ -1,4 +1,7 @@
-"""Converts a scene to Mitsuba objects: meshes, BSDFs, emitters and the camera."""
+"""Converts a scene to Mitsuba objects, and animates a loaded one: vertices, lights and camera.
+
+Vertex normals are computed here, so that they are bit-identical in every run.
+"""
 
 from __future__ import annotations
 
@@ -6,25 +9,36 @@ from collections.abc import Iterable, Mapping
 from typing import Any
 
 import numpy as np
+from jaxtyping import Float, Int
 from numpy import ndarray as Array
 
 from rlbench.errors import RlbenchError
 from rlbench.render.mitsuba import xml_scene
-from rlbench.render.mitsuba.normals import smooth_normals
-from rlbench.render.pose import Pose
-from rlbench.render.scene import Camera, Mesh, MitsubaDict, Scene
+from rlbench.render.scene import Camera, Mesh, MitsubaDict, Pose, Scene
 
 __all__ = [
+    "EmitterScaler",
     "LightError",
     "instantiate",
     "load_scene",
     "make_sensor",
     "move_vertices",
     "pinhole_vectors",
+    "smooth_normals",
     "upload",
 ]
 
 ALIGNMENT = 64  # bytes; Dr.Jit compiles another kernel for unaligned input
+STRENGTH_PARAMETERS = (
+    "radiance.value",
+    "radiance.data",
+    "irradiance.value",
+    "intensity.value",
+    "scale",  # of an environment map
+    "sky_scale",
+    "sun_scale",
+)  # emitter parameters to which the emitted light is proportional
+MIN_BITMAP_FACTOR = 1e-20  # a sampling table of zeros gives NaN
 
 
 class LightError(RlbenchError, ValueError):
@@ -175,3 +189,98 @@ def _to_mitsuba(value: Any, name: str = "") -> Any:
     if value.shape == (4, 4):
         return mi.ScalarTransform4f(value.astype(float))
     return value.astype(float).tolist()
+
+
+def smooth_normals(vertices: Float[Array, "v 3"], faces: Int[Array, "f 3"]) -> Float[Array, "v 3"]:
+    """Unit vertex normals: face normals weighted by the angle of each face at the vertex.
+
+    Thuermer and Wuethrich 1998, Computing Vertex Normals from Polygonal Facets. The normal of a
+    vertex without faces is z.
+    """
+    corners = vertices.astype(np.float64)[faces]  # f 3 3
+    to_next, to_last = np.roll(corners, -1, 1) - corners, np.roll(corners, 1, 1) - corners
+    normal = _normalize(np.cross(to_next[:, 0], to_last[:, 0]))
+    angle = np.arccos(np.clip((_normalize(to_next) * _normalize(to_last)).sum(-1), -1, 1))  # f 3
+    weighted = (normal[:, None] * angle[..., None]).reshape(-1, 3)
+    total = np.stack(
+        [np.bincount(faces.ravel(), weighted[:, axis], len(vertices)) for axis in range(3)], 1
+    )
+    return np.where(np.any(total, 1, keepdims=True), _normalize(total), [0.0, 0.0, 1.0])
+
+
+def _normalize(vectors: Float[Array, "... 3"]) -> Float[Array, "... 3"]:
+    """Vectors scaled to length 1; zero vectors stay zero."""
+    length = np.linalg.norm(vectors, axis=-1, keepdims=True)
+    return np.asarray(vectors / np.where(length > 0, length, 1))
+
+
+class EmitterScaler:
+    """The emitters of a loaded scene, by the name of their mesh, or `sky0`, `sky1`, ..."""
+
+    def __init__(self, parameters: Any) -> None:
+        """Take the `parameters` from `mi.traverse`; all emitters are at full strength."""
+        self._parameters = parameters
+        self._full: dict[str, Any] = {}  # parameter values before the first change
+        self._factors: Mapping[str, float] = {}
+
+    def set_factors(self, factors: Mapping[str, float]) -> None:
+        """Scale emitters by factors of their full strength; those not named get the factor 1.
+
+        Kernels are not compiled again, except for the scales of sun and sky, which Mitsuba compiles
+        in: one compilation per factor. Raises LightError for a factor that is negative or not
+        finite, and for a name that no emitter has.
+        """
+        if factors == self._factors:
+            return
+        reset = dict.fromkeys(self._factors, 1.0)
+        for name, factor in (reset | dict(factors)).items():
+            if not 0 <= factor < np.inf:
+                raise LightError(
+                    f"light '{name}' is scaled by {factor}; factors must be finite and at least 0"
+                )
+            for key in self._strength_keys(name):
+                self._scale(key, factor)
+        self._parameters.update()
+        self._factors = dict(factors)
+
+    def _strength_keys(self, name: str) -> list[str]:
+        """The parameters that hold the strength of an emitter."""
+        candidates = [
+            f"{name}.{middle}{parameter}"
+            for middle in ("emitter.", "")
+            for parameter in STRENGTH_PARAMETERS
+        ]
+        if keys := [key for key in candidates if key in self._parameters]:
+            return keys
+        names = ", ".join(self._emitter_names()) or "none"
+        raise LightError(f"no light '{name}' whose strength can change; available: {names}")
+
+    def _emitter_names(self) -> list[str]:
+        """The names of the emitters that can be scaled."""
+        names = {
+            key.removesuffix(f".{parameter}").removesuffix(".emitter")
+            for key in list(self._parameters.keys())
+            for parameter in STRENGTH_PARAMETERS
+            if key.endswith(parameter)
+        }
+        return sorted(name for name in names if ".bsdf" not in name)
+
+    def _scale(self, key: str, factor: float) -> None:
+        current = self._parameters[key]
+        value = current if isinstance(current, float) else np.array(current)
+        full = self._full.setdefault(key, value)
+        self._parameters[key] = _scaled(current, full, factor)
+
+
+def _scaled(current: Any, full: Any, factor: float) -> Any:
+    """`full * factor` as a value of the type of `current`, opaque to Dr.Jit's compiler."""
+    import drjit as dr
+    import mitsuba as mi
+
+    if isinstance(current, float):
+        return full * factor
+    if isinstance(current, mi.TensorXf):
+        values = full * max(factor, MIN_BITMAP_FACTOR)
+        return mi.TensorXf(upload(type(current.array), values), full.shape)
+    channels = [dr.opaque(mi.Float, float(v)) for v in np.reshape(full * factor, -1)]
+    return channels[0] if type(current) is mi.Float else type(current)(channels)

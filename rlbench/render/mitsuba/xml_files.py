@@ -1,18 +1,25 @@
-"""Files that the nodes of an XML scene refer to, and what stands for those that are missing."""
+"""What the nodes of an XML scene refer to: other nodes, and files, of which some may be missing.
+
+Also refuses what Mitsuba would render wrong. Mitsuba refuses properties that no plugin has read,
+which finds misspelt ones; nodes are therefore read by `peek`, which does not count.
+"""
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 from typing import Any
 
-from rlbench.render.mitsuba.xml_nodes import children, file_resolver, location, parents, peek
 from rlbench.render.scene import SceneError
 
 __all__ = [
     "MissingFiles",
     "describe_missing_files",
     "find_files",
+    "refuse_attribute_emitters",
+    "refuse_media",
     "refuse_missing_files",
+    "refuse_other_sensors",
     "replace_missing_files",
 ]
 
@@ -21,6 +28,76 @@ SURFACE_MAPS = ("bumpmap", "normalmap")
 SHOWN = 3  # names of files in a note
 
 MissingFiles = dict[str, list[str]]  # names in the XML file, by what stands for them
+PINHOLES = ("perspective", "thinlens")
+
+
+def peek(node: Any) -> dict[str, Any]:
+    """The properties of a node by name; for Mitsuba, those that are unread stay so."""
+    unread = node.props.unqueried()
+    values = dict(node.props.items())
+    for name in unread:
+        node.props.mark_queried(name, False)
+    return values
+
+
+def references(node: Any) -> list[tuple[str, int]]:
+    """Names by which a node refers to others, and the positions of these."""
+    import mitsuba as mi
+
+    kind = mi.Properties.ResolvedReference
+    return [(k, v.index()) for k, v in peek(node).items() if isinstance(v, kind)]
+
+
+def children(state: Any, node: Any) -> list[tuple[str, Any]]:
+    """Names and nodes of the objects that a node refers to."""
+    return [(name, state.nodes[index]) for name, index in references(node)]
+
+
+def parents(state: Any, index: int) -> list[tuple[int, str]]:
+    """Positions of the nodes that refer to the node at `index`, and the names by which they do."""
+    return [
+        (position, name)
+        for position, node in enumerate(state.nodes)
+        for name, child in references(node)
+        if child == index
+    ]
+
+
+def add_node(state: Any, origin: int, props: Any) -> Any:
+    """Append a node of the type and place in the file of the node at `origin`; a reference to it.
+
+    Nodes fetched before are invalid afterwards, because the list may have moved.
+    """
+    import mitsuba as mi
+    from mitsuba import parser
+
+    node = parser.SceneNode(state.nodes[origin])
+    node.props = props
+    state.nodes.append(node)
+    return mi.Properties.ResolvedReference(len(state.nodes) - 1)
+
+
+def location(state: Any, node: Any) -> str:
+    """File and line of a node."""
+    from mitsuba import parser
+
+    place = str(parser.file_location(state, node))
+    is_text = place.startswith("string (")  # repaired in memory
+    return place.replace("string", str(state.files[node.file_index]), 1) if is_text else place
+
+
+def line(state: Any, node: Any) -> str:
+    """The number of the line in which a node begins."""
+    found = re.search(r"\(line (\d+)", location(state, node))
+    return found[1] if found else "?"
+
+
+def file_resolver() -> Any:
+    """Mitsuba's list of folders in which it looks for files."""
+    import mitsuba as mi
+
+    find: Any = mi.file_resolver
+    return find()
 
 
 def find_files(state: Any) -> tuple[list[Path], list[tuple[int, str]]]:
@@ -120,3 +197,43 @@ def _become(node: Any, plugin: str, name: str, value: float) -> None:
     props.set_id(node.props.id())
     props[name] = value
     node.props = props
+
+
+def refuse_media(state: Any) -> None:
+    """Raise SceneError for a participating medium."""
+    import mitsuba as mi
+
+    for node in state.nodes:
+        if node.type in (mi.ObjectType.Medium, mi.ObjectType.Volume):
+            raise SceneError(
+                f"{location(state, node)}: the scene has a participating medium "
+                f"({node.props.plugin_name()}), which rlbench's path tracer ignores. Remove it"
+            )
+
+
+def refuse_attribute_emitters(state: Any) -> None:
+    """Raise SceneError for a mesh attribute as radiance; next-event estimation takes it for 0."""
+    import mitsuba as mi
+
+    for node in (n for n in state.nodes if n.type == mi.ObjectType.Emitter):
+        if any(c.props.plugin_name() == "mesh_attribute" for _, c in children(state, node)):
+            raise SceneError(
+                f"{location(state, node)}: the emitter's radiance is a mesh attribute, of which "
+                "Mitsuba's path tracer loses a large part. Give it one radiance, or a bitmap "
+                "with a texel per light"
+            )
+
+
+def refuse_other_sensors(state: Any, node: Any) -> None:
+    """Raise SceneError for a sensor that is not a centred pinhole."""
+    props = node.props
+    if props.plugin_name() not in PINHOLES:
+        raise SceneError(
+            f"{location(state, node)}: sensor {props.plugin_name()} is not supported, because "
+            "motion vectors need a pinhole. Make it a perspective sensor"
+        )
+    if any(props.get(f"principal_point_offset_{axis}", 0.0) for axis in "xy"):
+        raise SceneError(
+            f"{location(state, node)}: the sensor's principal point is not in the middle of the "
+            "film, which is not supported. Remove principal_point_offset_x and _y"
+        )

@@ -16,7 +16,7 @@ import numpy as np
 from jaxtyping import Float
 from numpy import ndarray as Array
 
-from rlbench.render.mitsuba.xml_nodes import add_node, line, peek
+from rlbench.render.mitsuba.xml_files import add_node, line, peek
 
 __all__ = ["Notes", "describe_repairs", "is_night", "repair_nodes", "repair_text"]
 

@@ -10,8 +10,8 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from rlbench.render.mitsuba import xml_checks, xml_files, xml_repairs
-from rlbench.render.mitsuba.xml_nodes import children, file_resolver
+from rlbench.render.mitsuba import xml_files, xml_repairs
+from rlbench.render.mitsuba.xml_files import children, file_resolver
 from rlbench.render.scene import Mesh, SceneError, XmlFile
 
 __all__ = ["XmlSettings", "build_scene", "named_meshes", "read_settings"]
@@ -57,8 +57,8 @@ def read_settings(xml_file: XmlFile) -> XmlSettings:
     with _parse(xml_file, merge=False) as (_, state, repairs, missing_files):
         notes = [*repairs]
         files, _ = xml_files.find_files(state)
-        xml_checks.refuse_media(state)
-        xml_checks.refuse_attribute_emitters(state)
+        xml_files.refuse_media(state)
+        xml_files.refuse_attribute_emitters(state)
         camera_to_world, fov, aspect = _read_sensor(state, notes)
         max_depth = _read_max_depth(state, notes)
         content = f"{xml_file.parameters} {missing_files} {REPAIRS_VERSION}"
@@ -189,7 +189,7 @@ def _read_sensor(state: Any, notes: list[str]) -> tuple[np.ndarray | None, float
     node = sensors[0]
     if len(sensors) > 1:
         notes.append(f"the first of {len(sensors)} sensors is used")
-    xml_checks.refuse_other_sensors(state, node)
+    xml_files.refuse_other_sensors(state, node)
     if node.props.plugin_name() == "thinlens":
         notes.append("thinlens is rendered as a pinhole, without depth of field")
     film = next((n for _, n in children(state, node) if n.type == mi.ObjectType.Film), None)

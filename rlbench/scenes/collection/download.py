@@ -28,9 +28,8 @@ from rlbench.scenes.collection.catalog import (
 )
 from rlbench.scenes.collection.pins import PinnedFile, blob_id
 from rlbench.system import paths
-from rlbench.system.disk import check_writable
 from rlbench.system.folder_lock import locked_folder
-from rlbench.system.paths import atomic_write
+from rlbench.system.paths import atomic_write, check_writable
 
 __all__ = ["DownloadError", "Fetched", "UnreachableError", "get"]
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import shutil
 
 import numpy as np
+import OpenEXR
 import pytest
 from typer.testing import CliRunner
 
@@ -22,6 +23,7 @@ from tests.checks.lint.renderers import RENDERERS, SAMPLES, write_renderer
 from tests.clips.importers.dumps import (
     WRITERS,
     planes,
+    write_blender,
     write_falcor,
     write_file,
     write_own,
@@ -185,3 +187,63 @@ def test_the_command_does_not_overwrite_a_layout(own, tmp_path):
     assert result.exit_code == 2
     assert "mine.toml exists; name another file" in result.output
     assert (tmp_path / "mine.toml").read_text() == "kept"
+
+
+def test_world_normals_win_over_those_in_camera_space(small, tmp_path):
+    write_blender(small, tmp_path / "dump")
+    for path in (tmp_path / "dump").rglob("*.exr"):
+        with OpenEXR.File(str(path), separate_channels=True) as file:
+            stored = {name: channel.pixels for name, channel in file.channels().items()}
+        camera = {f"ViewLayer.Denoising Normal.{c}": stored["ViewLayer.Normal.X"] for c in "XYZ"}
+        composite = {f"Composite.Combined.{c}": stored["ViewLayer.Depth.Z"] for c in "RGB"}
+        write_file(path, {"": stored | camera | composite})
+    tables = guess_layout(tmp_path / "dump").tables
+    assert tables["normal"]["channels"] == [f"ViewLayer.Normal.{c}" for c in "XYZ"]
+    assert tables["radiance"]["channels"] == [f"ViewLayer.Combined.{c}" for c in "RGB"]
+    assert recognize_layout(tmp_path / "dump") == "blender"
+
+
+# Alpha
+
+
+def write_alpha(folder, *, is_straight: bool, sky: float) -> None:
+    """A disk that moves before a sky of alpha 0, with partial alpha at its edge."""
+    h, w = 48, 64
+    y, x = np.mgrid[:h, :w]
+    noise = np.random.default_rng(0)
+    for frame in range(2):
+        distance = np.hypot(x - 30 - frame, y - 24)
+        alpha = np.clip(15 - distance, 0, 1)  # one pixel wide
+        surface = 0.4 + 0.1 * np.sin(x / 5)
+        light = alpha * surface + (1 - alpha) * sky
+        light = (
+            np.divide(light, alpha, where=alpha > 0, out=np.zeros((h, w))) if is_straight else light
+        )
+        kinds = {"reference": light} | {
+            f"sample{s}": light * noise.uniform(0.5, 1.5, (h, w)) for s in (0, 1)
+        }
+        for kind, image in kinds.items():
+            planes = {c: image.astype(np.float32) for c in "RGB"} | {"A": alpha.astype(np.float32)}
+            write_file(folder / kind / f"beauty.{frame}.exr", {"": planes})
+
+
+@pytest.mark.parametrize(
+    ("is_straight", "sky", "found"),
+    [(True, 0.0, True), (False, 0.0, False), (False, 0.3, False), (False, 4.0, False)],
+)
+def test_colours_that_are_not_multiplied_by_alpha_are_recognised(tmp_path, is_straight, sky, found):
+    write_alpha(tmp_path / "dump", is_straight=is_straight, sky=sky)
+    guess = guess_layout(tmp_path / "dump")
+    assert ("alpha" in guess.tables["reference"], "alpha" in guess.tables["radiance"]) == (
+        found,
+    ) * 2
+    assert ("have colour at alpha 0, which is kept" in guess.reasons["reference"]) == (sky > 0)
+    (tmp_path / "guess.toml").write_text(format_guess(guess))
+    arrays = import_arrays(tmp_path / "dump", read_layout(str(tmp_path / "guess.toml")))
+    write_alpha(tmp_path / "expected", is_straight=False, sky=sky)
+    (tmp_path / "plain.toml").write_text(
+        '[radiance]\nfiles = "sample{sample}/*{frame}.exr"\n'
+        '[reference]\nfiles = "reference/*{frame}.exr"'
+    )
+    expected = import_arrays(tmp_path / "expected", read_layout(str(tmp_path / "plain.toml")))
+    np.testing.assert_allclose(arrays.half_a, expected.half_a, rtol=1e-5, atol=1e-7)

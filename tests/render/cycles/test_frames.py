@@ -3,7 +3,7 @@
 import pytest
 
 from rlbench.render.cycles.frames import reference_images
-from rlbench.render.cycles.worker_job import image_seed
+from rlbench.render.cycles.process import image_seed
 
 
 @pytest.mark.parametrize("total", [1, 31, 32, 33, 100])

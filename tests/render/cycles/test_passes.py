@@ -7,7 +7,7 @@ import pytest
 from numpy.testing import assert_allclose
 
 from rlbench.clips.exr import write_exr
-from rlbench.render.cycles import passes
+from rlbench.render.cycles import frames as passes
 from rlbench.render.scene import Camera, Scene
 
 H, W = 4, 6

@@ -6,8 +6,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from rlbench.render.cycles import room_cameras
-from rlbench.render.cycles.worker_job import convert_axes
+from rlbench.render.cycles import infinigen_rooms as room_cameras
+from rlbench.render.cycles.process import convert_axes
 from rlbench.render.mitsuba.gbuffer import render_gbuffer
 from rlbench.render.mitsuba.open_tracer import open_tracer
 from rlbench.render.scene import SceneError

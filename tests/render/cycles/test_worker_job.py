@@ -11,7 +11,7 @@ from numpy.testing import assert_allclose
 from rlbench.cli.user_scene import select_tracer
 from rlbench.errors import OptionError
 from rlbench.render.cycles import clip, scene_file
-from rlbench.render.cycles.worker_job import (
+from rlbench.render.cycles.process import (
     SEEDS_PER_STREAM,
     STREAMS,
     CyclesParameters,

@@ -17,7 +17,7 @@ from rlbench.render.jobs.job import Job
 from rlbench.render.jobs.live_pool import LiveClip, LivePool, open_live_clip
 from rlbench.render.jobs.render_clips import render_clip, scene_of_clip
 from rlbench.render.mitsuba.open_tracer import open_tracer
-from rlbench.render.mitsuba.rng import STREAMS
+from rlbench.render.mitsuba.tracer import STREAMS
 from rlbench.render.presets import Preset
 from rlbench.run import run_clip
 from rlbench.sampling import draw_samples

@@ -7,8 +7,7 @@ import pytest
 from rlbench import registry
 from rlbench.clips.stored import ClipError, read_header, write_header
 from rlbench.render.jobs.job import Job
-from rlbench.render.jobs.render_clips import render_clip
-from rlbench.render.jobs.retime import remeasure_sample_ms
+from rlbench.render.jobs.render_clips import remeasure_sample_ms, render_clip
 from rlbench.render.presets import Preset
 from tests.render.small_scenes import room
 

@@ -12,9 +12,8 @@ from rlbench.benchmark.cost import FULL_FRAME
 from rlbench.benchmark.run_plan import CellLoader, RunPlan, list_cells
 from rlbench.benchmark.timing import ScatterMeter
 from rlbench.render.jobs.job import Job
-from rlbench.render.jobs.live_pool import open_wavefronts
+from rlbench.render.jobs.live_pool import open_wavefronts, scatter_factor
 from rlbench.render.jobs.render_clips import render_clip
-from rlbench.render.jobs.scatter import scatter_factor
 from rlbench.render.presets import Preset
 from tests.conftest import write_noise
 from tests.render.small_scenes import room

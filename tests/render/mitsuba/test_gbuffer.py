@@ -4,9 +4,8 @@ import numpy as np
 import pytest
 
 from rlbench.clips.header import BUFFER_CHANNELS
-from rlbench.render.mitsuba.gbuffer import render_gbuffer
+from rlbench.render.mitsuba.gbuffer import follow_specular_chain, render_gbuffer
 from rlbench.render.mitsuba.open_tracer import open_tracer
-from rlbench.render.mitsuba.specular import follow_specular_chain
 from rlbench.render.scene import Camera, Scene
 from tests.render.small_scenes import (
     STEP,

@@ -6,7 +6,7 @@ import pytest
 from rlbench.render.jobs.render_clips import scene_of_clip
 from rlbench.render.mitsuba.gbuffer import render_gbuffer
 from rlbench.render.mitsuba.open_tracer import open_tracer
-from rlbench.render.pose import Pose
+from rlbench.render.scene import Pose
 
 SIDE = 192
 TIME = 3.0

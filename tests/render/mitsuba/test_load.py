@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from rlbench.render.mitsuba import load
-from rlbench.render.mitsuba.normals import smooth_normals
+from rlbench.render.mitsuba.load import smooth_normals
 from rlbench.render.mitsuba.open_tracer import open_tracer
 from tests.render.small_scenes import ball, diffuse, room
 

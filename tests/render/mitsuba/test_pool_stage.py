@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from baselines.restir.chains import BIASED, PLAIN, UNBIASED, Restir
-from rlbench.render.mitsuba.pool_stage import PoolStage
-from rlbench.render.mitsuba.wavefront import WavefrontTracer
+from rlbench.render.jobs.extra_pools import PoolStage
+from rlbench.render.mitsuba.open_tracer import WavefrontTracer
 from rlbench.render.scene import Camera, Mesh, Scene
 from tests.render.small_scenes import diffuse, grey, room, square
 

@@ -5,7 +5,8 @@ import itertools
 import numpy as np
 import pytest
 
-from rlbench.render.mitsuba import load, rng
+from rlbench.render.mitsuba import load
+from rlbench.render.mitsuba import tracer as rng
 
 
 def numbers(pixels, samples, key, count):

@@ -1,4 +1,4 @@
-"""Curves between measured budgets, never extrapolated; who wins a deadline, and where it changes."""
+"""Curves between measured budgets, who wins a deadline, and where that changes."""
 
 from __future__ import annotations
 

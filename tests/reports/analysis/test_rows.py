@@ -93,4 +93,6 @@ def test_the_reason_for_unreliable_times_is_one_line_for_all_rows_that_share_it(
     times = [r for r in rows(["ours"]) if r.metric == "plan_ms"]
     busy = [replace(r, metric="inference_ms", note="unreliable: busy") for r in times]
     (line,) = analysed.unreliable_times(to_dataframe(busy))
-    assert line == "inference_ms of ours on city, hall, ripples, temple at 0.5, 1, 2, 4, 8 spp: busy"
+    assert (
+        line == "inference_ms of ours on city, hall, ripples, temple at 0.5, 1, 2, 4, 8 spp: busy"
+    )

@@ -9,7 +9,6 @@ step of the weights moves it further on a larger image.
 
 from __future__ import annotations
 
-import argparse
 import statistics
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass
@@ -22,6 +21,7 @@ from rich.progress import track
 from torch import Tensor
 from torch.nn import functional as F
 
+from methods.ours.experiments.command import make_parser
 from methods.ours.experiments.compare_learners import initial_sampler
 from methods.ours.experiments.gradients.estimators import ESTIMATORS, Measurement, measure
 from methods.ours.experiments.gradients.exact_gradient import BUDGETS, DENOISERS
@@ -171,20 +171,17 @@ def _ratio_rows(sides: Sequence[int]) -> Iterator[Mapping[str, str]]:
 
 def main() -> None:
     """Run the command line."""
-    parser = argparse.ArgumentParser(
-        prog=PROGRAM,
-        formatter_class=argparse.RawDescriptionHelpFormatter,
-        description="Compare the gradient estimators that train a sampler with the exact gradient\n"
-        f"of a toy problem, and write OUT/{GRADIENTS}. Count the importance ratios that\n"
-        f"one step moves out of the clip range, and write OUT/{RATIOS}.\n"
+    parser = make_parser(
+        PROGRAM,
+        "Compare the gradient estimators that train a sampler with the exact gradient of a toy\n"
+        f"problem, and write OUT/{GRADIENTS}. Count the importance ratios that one step moves\n"
+        f"out of the clip range, and write OUT/{RATIOS}.\n"
         "Then draw the figures: python -m reports.gradients OUT",
-        epilog=f"examples:\n  {PROGRAM} --out docs/results\n  {PROGRAM} --out /tmp/try --draws 64",
-    )
-    parser.add_argument(
-        "--out", type=Path, default=Path("docs/results"), help="folder (default: docs/results)"
-    )
-    parser.add_argument(
-        "--draws", type=int, default=512, help="gradients per measurement (default: 512)"
+        ("--out docs/results", "--out /tmp/try --draws 64"),
+        {
+            "--out": (Path("docs/results"), "folder"),
+            "--draws": (512, "gradients per measurement"),
+        },
     )
     arguments = parser.parse_args()
     if arguments.draws < 2:

@@ -1,11 +1,12 @@
-"""Memory that a frame frees is kept for the next frame."""
+"""Settings of this process before long work: freed memory is kept, and waiting threads sleep."""
 
 from __future__ import annotations
 
 import ctypes
+import os
 import sys
 
-__all__ = ["keep_freed_memory"]
+__all__ = ["keep_freed_memory", "wait_asleep"]
 
 M_TRIM_THRESHOLD, M_MMAP_THRESHOLD = -1, -3  # <malloc.h> of the GNU C library
 GIGABYTE = 2**30
@@ -27,3 +28,14 @@ def keep_freed_memory() -> bool:
     except AttributeError:  # musl
         return False
     return bool(mallopt(M_MMAP_THRESHOLD, GIGABYTE) and mallopt(M_TRIM_THRESHOLD, 2 * GIGABYTE - 1))
+
+
+def wait_asleep() -> None:
+    """Let threads that wait sleep, where they would spin. Call this before torch is imported.
+
+    Torch's OpenMP threads spin between parallel loops. On an idle machine that saves some
+    microseconds a loop; beside other processes a waiting thread takes the processor from the one
+    that it waits for, and a run takes several times as long. A policy that the user has set in
+    the environment variable OMP_WAIT_POLICY stays.
+    """
+    os.environ.setdefault("OMP_WAIT_POLICY", "passive")

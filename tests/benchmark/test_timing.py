@@ -1,4 +1,4 @@
-"""Rows of times: sums that add up exactly, missing costs, and notes of unreliable times."""
+"""Times of a run: sums that add up exactly, missing costs, and factors that clips share."""
 
 from __future__ import annotations
 
@@ -6,14 +6,28 @@ import math
 from dataclasses import replace
 
 import pytest
+import torch
 
+from rlbench.benchmark import latency
+from rlbench.benchmark.clip_sources import StoredSource
 from rlbench.benchmark.cost import Cost, ProfileTime, Scatter
 from rlbench.benchmark.latency import PartTime, Timing
 from rlbench.benchmark.results import Row
-from rlbench.benchmark.timing import drop_times, failed_time_rows, timing_rows
+from rlbench.benchmark.run_plan import CellLoader, RunPlan, list_cells
+from rlbench.benchmark.timing import (
+    ScatterMeter,
+    TimingCache,
+    drop_times,
+    failed_time_rows,
+    timing_rows,
+)
+from rlbench.parallel.executor import LOCAL, Resources
+from tests.conftest import write_noise
 
 CPU = "EPYC, 2 threads"
+
 TEMPLATE = Row("r", "mean", "noise", "noise", 2.0, 1.5, -1, "", math.nan, device=CPU)
+
 TIMING = Timing(
     clip="noise",
     plan=PartTime(1.0, 1.1, 2.0),
@@ -30,6 +44,7 @@ TIMING = Timing(
     load_average=1.0,
     threads=2,
 )
+
 COST = Cost(20.0, "a profile", device="EPYC, 2 cores", gbuffer_ms=3.0, gbuffer_convention="traced")
 
 
@@ -120,3 +135,42 @@ def test_times_are_told_from_scores():
     rows = [score, *timing_rows(TEMPLATE, TIMING, COST), *failed_time_rows(TEMPLATE, "no luck")]
     assert drop_times(rows) == [score]
     assert {row.note for row in failed_time_rows(TEMPLATE, "no luck")} == {"no luck"}
+
+
+NO_SCENE = "its scene is not here"
+
+
+@pytest.fixture
+def measured(monkeypatch) -> list[str]:
+    """The clips on which a factor is measured; clips named `imported` have no scene."""
+    clips: list[str] = []
+    monkeypatch.setattr(latency, "time_methods", lambda rows, *_, **__: [None] * len(rows))
+
+    def measure(meter, cell):
+        clips.append(cell.header.name)
+        return Scatter(1.0, NO_SCENE) if cell.header.name == "imported" else Scatter(1.7)
+
+    monkeypatch.setattr(ScatterMeter, "measure", measure)
+    monkeypatch.setattr(
+        ScatterMeter, "has_scene", lambda meter, cell: cell.header.name != "imported"
+    )
+    return clips
+
+
+def factors(tmp_path, clips) -> dict[str, Scatter]:
+    sources = tuple(StoredSource(write_noise(tmp_path / name, frames=1)) for name in clips)
+    plan = RunPlan(("accumulate/contrast",), sources, (1.0,), repeats=2, seeds=(0, 1))
+    cells, times = list_cells(plan), TimingCache(CellLoader(plan), None)
+    times.measure_all(cells, LOCAL, Resources(torch.get_num_threads(), 0), lambda *_: None)
+    return {cell.header.name: times.cost(cell).scatter for cell in cells}
+
+
+@pytest.mark.parametrize("clips", [("imported", "traced"), ("traced", "imported")])
+def test_a_clip_without_its_scene_neither_takes_nor_gives_a_factor(tmp_path, measured, clips):
+    assert factors(tmp_path, clips) == {"imported": Scatter(1.0, NO_SCENE), "traced": Scatter(1.7)}
+    assert sorted(measured) == ["imported", "traced"]
+
+
+def test_clips_that_can_be_traced_share_one_factor(tmp_path, measured):
+    assert set(factors(tmp_path, ("first", "second")).values()) == {Scatter(1.7)}
+    assert measured == ["first"]
