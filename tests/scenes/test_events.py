@@ -9,8 +9,7 @@ import pytest
 
 from rlbench.render.presets import PRESETS
 from rlbench.render.scene import Scene
-from rlbench.scenes.generator.events import EVENTS, eventful_scene
-from rlbench.scenes.generator.scene import scene
+from rlbench.scenes.generator.scene import EVENTS, eventful_scene, scene
 
 SEEDS = range(128, 144)  # two packs: every event
 TIMES = np.arange(12.0)  # of the frames of preset train-eventful

@@ -14,9 +14,9 @@ from scipy.sparse.csgraph import connected_components
 from rlbench.render.scene import Scene
 from rlbench.scenes.generator.hard import hard_scene
 from rlbench.scenes.generator.lights import LIGHT_KINDS
+from rlbench.scenes.generator.materials import TEXTURE_SIZE, random_texture
 from rlbench.scenes.generator.scene import FAMILIES, scene
 from rlbench.scenes.generator.solids import SOLIDS
-from rlbench.scenes.generator.textures import TEXTURE_SIZE, random_texture
 
 SEEDS = range(16)  # four of each family
 HARD_SEEDS = range(1010, 1020)  # one pack of lights
