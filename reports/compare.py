@@ -1,6 +1,6 @@
 """Two methods compared: the answer as data and text.
 
-The command `rlbench compare` loads it by the entry point `rlbench.comparisons`.
+The command `rlbench compare` prints it.
 """
 
 from __future__ import annotations
