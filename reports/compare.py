@@ -1,9 +1,8 @@
 """Two methods compared, paired by frame, with scenes as units: the answer as data and text.
 
-The command `rlbench compare` loads it by the entry point `rlbench.comparisons`. Robust aggregates
-of scores [runs scenes] are those of Agarwal et al. 2021 (Deep Reinforcement Learning at the Edge of
-the Statistical Precipice, section 4) and of their library rliable; a scene takes the place of a
-task, an order of samples that of a run.
+Robust aggregates of scores [runs scenes] are those of Agarwal et al. 2021 (Deep Reinforcement
+Learning at the Edge of the Statistical Precipice, section 4) and of their library rliable; a scene
+takes the place of a task, an order of samples that of a run. `rlbench compare` prints the answer.
 """
 
 from __future__ import annotations

@@ -1,6 +1,6 @@
 """Which method at which budget gives the least error in a frame time: the answer as data and text.
 
-The command `rlbench decide` loads it by the entry point `rlbench.decisions`.
+The command `rlbench decide` prints it.
 """
 
 from __future__ import annotations

@@ -22,12 +22,12 @@ import torch
 from rlbench import registry
 from rlbench.backends import EAGER, select_backend
 from rlbench.benchmark import cost as costs
-from rlbench.benchmark import results
+from rlbench.benchmark import latency, results
 from rlbench.benchmark.clip_sources import POOLS, StoredSource, open_source
 from rlbench.benchmark.run_outcome import RunWarning, judge_run
 from rlbench.benchmark.run_plan import DEFAULT_SPP, RunPlan
 from rlbench.benchmark.runner import CellCallback, measure, read_cells
-from rlbench.clips.clip_folders import find_all_clips
+from rlbench.clips.stored import find_all_clips
 from rlbench.errors import OptionError
 from rlbench.parallel.executor import LOCAL, Executor
 from rlbench.registry.near_names import unknown_name
@@ -43,13 +43,13 @@ if TYPE_CHECKING:
 
 __all__ = [
     "check_precision",
+    "check_run",
+    "plan_run",
     "render_clips",
     "report",
     "run",
     "select_clips",
     "select_device",
-    "check_budgets",
-    "check_run",
 ]
 
 RESULTS = Path("results")
@@ -102,41 +102,90 @@ def run(
 
     Raises RlbenchError for names, budgets, files or devices that cannot be used.
     """
-    patterns = list(methods)
+    patterns, folder = list(methods), Path(out)
     with registry.with_broken(patterns):
-        names, budgets = tuple(registry.expand(patterns)), tuple(map(float, spp))
-        target, file = select_device(device), None if weights is None else str(weights)
-        selected_backend = select_backend(backend, target)
-        check_precision(names, bf16, device, executor)
-        check_run(names, budgets, Path(out), None if clips else preset, cost, file, pool)
-        pool_kinds = {registry.get_variant(name).traits.pool for name in names}
-        plan = RunPlan(
-            methods=names,
-            clips=select_clips(clips, scenes, preset, takes, pool, pool_kinds, executor),
-            spp=budgets,
-            seeds=tuple(seeds),
-            device=target,
+        plan = plan_run(
+            registry.expand(patterns),
+            folder,
+            spp=spp,
+            scenes=scenes,
+            preset=preset,
+            takes=takes,
+            clips=clips,
+            pool=pool,
+            seeds=seeds,
+            device=device,
             cost=cost,
-            weights=file,
+            weights=weights,
             weights_label=weights_label,
             bf16=bf16,
-            backend=selected_backend,
+            backend=backend,
             skip_tiles=skip_tiles,
             limit_frames=limit_frames,
+            executor=executor,
         )
         summary = measure(
             plan,
-            Path(out),
+            folder,
             on_cell,
             executor,
             retime=retime,
             scores_only=scores_only,
             keep_images=keep_images,
         )
-        rows = read_cells(plan, Path(out))
+        rows = read_cells(plan, folder)
     if not (verdict := judge_run(summary, rows)).has_passed:
         warnings.warn(f"{verdict}. The column `note` has the reasons", RunWarning, stacklevel=2)
     return rows
+
+
+def plan_run(
+    methods: Iterable[str],
+    out: Path,
+    *,
+    spp: Iterable[float] = DEFAULT_SPP,
+    scenes: Iterable[str] = (),
+    preset: str = "mini",
+    takes: str | None = None,
+    clips: Iterable[Path | str] | None = None,
+    pool: str = "stored",
+    seeds: Iterable[int] = (0,),
+    device: str = "auto",
+    cost: str = costs.MEASURED,
+    weights: Path | str | None = None,
+    weights_label: str = "",
+    bf16: bool = False,
+    backend: str = EAGER,
+    skip_tiles: bool = False,
+    limit_frames: int | None = None,
+    repeats: int = latency.REPEATS,
+    executor: Executor = LOCAL,
+) -> RunPlan:
+    """The plan of `run` for methods by name; everything is checked before a clip is rendered.
+
+    Raises RlbenchError for names, budgets, files or devices that cannot be used.
+    """
+    names, budgets, target = tuple(methods), tuple(map(float, spp)), select_device(device)
+    file = None if weights is None else str(weights)
+    selected_backend = select_backend(backend, target)
+    check_precision(names, bf16, device, executor)
+    check_run(names, budgets, out, None if clips else preset, cost, file, pool)
+    pool_kinds = {registry.get_variant(name).traits.pool for name in names}
+    return RunPlan(
+        methods=names,
+        clips=select_clips(clips, scenes, preset, takes, pool, pool_kinds, executor),
+        spp=budgets,
+        seeds=tuple(seeds),
+        device=target,
+        cost=cost,
+        weights=file,
+        weights_label=weights_label,
+        bf16=bf16,
+        backend=selected_backend,
+        skip_tiles=skip_tiles,
+        limit_frames=limit_frames,
+        repeats=repeats,
+    )
 
 
 def render_clips(

@@ -9,8 +9,10 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from rlbench.cli import arguments, options
-from rlbench.cli.plugins import load_plugins
+from rlbench.cli import options
+from rlbench.cli.arguments import split_names
+from rlbench.cli.methods import load_plugins
+from rlbench.cli.options import MEASUREMENT, OUTPUT, file, flag, folder, option
 from rlbench.errors import OptionError, RlbenchError
 from rlbench.registry.near_names import unknown_name
 
@@ -27,64 +29,47 @@ __all__ = ["regress", "select_baseline"]
 
 def regress(
     methods: options.RowMethods = None,
-    plugin: options.Plugins = None,
-    clips: options.Clips = None,
     results: options.Results = Path("results"),
     baseline: Annotated[
         str,
-        typer.Option(
-            metavar="NAME|FILE",
-            help="a baseline that ships, such as mini, or a JSON file; default: the shipped one of "
+        option(
+            OUTPUT,
+            "a baseline that ships, such as mini, or a JSON file; default: the shipped one of "
             "the results' preset",
-            rich_help_panel=options.OUTPUT,
+            value="NAME|FILE",
         ),
     ] = "",
     update: Annotated[
         bool,
-        typer.Option(
+        flag(
+            OUTPUT,
             "--update",
-            help="rewrite the baseline FILE from the results; with --methods, their entries alone",
-            rich_help_panel=options.OUTPUT,
+            "rewrite the baseline FILE from the results; with --methods, their entries alone",
         ),
     ] = False,
     speed: Annotated[
         list[str] | None,
-        typer.Option(
-            metavar="A/B<=RATIO",
-            help="largest ratio of the inference times of two rows; both are timed now, on "
+        option(
+            MEASUREMENT,
+            "largest ratio of the inference times of two rows; both are timed now, on "
             "generated frames; can be repeated",
-            rich_help_panel=options.MEASUREMENT,
+            value="A/B<=RATIO",
         ),
     ] = None,
-    device: options.Device = "auto",
-    junit: Annotated[
-        Path | None,
-        typer.Option(
-            dir_okay=False,
-            metavar="FILE",
-            help="write JUnit XML, a test case for each cell",
-            rich_help_panel=options.OUTPUT,
-        ),
-    ] = None,
+    junit: Annotated[Path | None, file("write JUnit XML, a test case for each cell")] = None,
     summary: Annotated[
         Path | None,
-        typer.Option(
-            dir_okay=False,
-            metavar="FILE",
-            help="write Markdown with crops of the worst change in a folder beside it; also added "
-            "to $GITHUB_STEP_SUMMARY",
-            rich_help_panel=options.OUTPUT,
+        file(
+            "write Markdown with crops of the worst change in a folder beside it; also added "
+            "to $GITHUB_STEP_SUMMARY"
         ),
     ] = None,
     before: Annotated[
-        Path | None,
-        typer.Option(
-            file_okay=False,
-            metavar="FOLDER",
-            help="results with kept images of the code before, for the crops",
-            rich_help_panel=options.OUTPUT,
-        ),
+        Path | None, folder("results with kept images of the code before, for the crops")
     ] = None,
+    clips: options.Clips = None,
+    plugin: options.Plugins = None,
+    device: options.Device = "auto",
 ) -> None:
     """Compare scores, and ratios of times, with a baseline.
 
@@ -107,10 +92,10 @@ def regress(
     from rlbench.benchmark.results import read
     from rlbench.system.paths import check_writable
 
-    for option, file in (("--junit", junit), ("--summary", summary)):
-        if file:
-            check_writable(file.parent, option)
-    names = arguments.split_names(methods)
+    for word, target in (("--junit", junit), ("--summary", summary)):
+        if target:
+            check_writable(target.parent, word)
+    names = split_names(methods)
     if update:
         _update(results, baseline, names)
         return

@@ -148,10 +148,10 @@ def _frame_column(columns: Sequence[_Column], frames: set[int]) -> int | None:
 def _name_columns(columns: Sequence[_Column], frames: set[int]) -> list[str]:
     """The placeholder of each number; empty for one that stays as it is."""
     frame = _frame_column(columns, frames)
-    told = () if frame is None else columns[frame].values
+    frame_values = () if frame is None else columns[frame].values
     kinds = []
     for index, column in enumerate(columns):
-        if index == frame or (column.varies and column.values == told):
+        if index == frame or (column.varies and column.values == frame_values):
             kinds.append("frame")
         elif column.kind in ("sample", "spp"):
             kinds.append(column.kind)

@@ -48,10 +48,10 @@ from rlbench.system.documents import to_toml
 
 SURE, LIKELY = 0.1, 0.03  # leads over the next reading
 TO_PREVIOUS = MotionConvention().direction
-MIN_EDGES = 16  # pixels of partial alpha that decide how colours are stored
 PERIODS = (8, 16, 32)  # of the jitter of engines
 Y_AXES: tuple[Literal["down", "up"], ...] = ("down", "up")
 MAX_JITTER_ERROR = 0.4  # of the jitter's change that a sequence does not explain
+MIN_EDGES = 16  # pixels of partial alpha that decide how colours are stored
 MEANS = 0.35  # correlation of noise: half that of a sample with a mean that it is half of
 DEMODULATED = 0.5  # of the deviation from the reference that is left after a product with albedo
 FLIPS = {

@@ -1,14 +1,20 @@
-"""The tables of `rlbench list`."""
+"""The command list: what is installed, and the tables that show it."""
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Annotated, Any, Literal
 
-from rich.console import Console
-from rich.table import Table
+import typer
 
-__all__ = ["print_installed"]
+from rlbench.cli import options
+from rlbench.cli.json_output import print_json
+from rlbench.cli.methods import load_plugins
 
+__all__ = ["list_", "print_installed"]
+
+Kind = Literal[
+    "all", "methods", "metrics", "scenes", "reports", "pools", "presets", "profiles"
+]  # those of `rlbench.benchmark.listing`
 COLUMNS = {  # of the kinds that have more than these, in their order
     "methods": ("name", "question", "inputs", "spp", "adaptive", "weights"),
     "metrics": ("name", "unit", "direction", "convention"),
@@ -18,8 +24,39 @@ COLUMNS = {  # of the kinds that have more than these, in their order
 FILE_WIDTH = 180  # characters of a line that goes to no terminal
 
 
+def list_(
+    kind: Annotated[Kind, typer.Argument(metavar="KIND", help="what to list")] = "all",
+    as_json: options.Json = False,
+    plugin: options.Plugins = None,
+) -> None:
+    """List installed methods, metrics, scenes, presets, and more.
+
+    Plugins that cannot be used are listed with their error; the exit code is then 1. Scenes and
+    reports are found without importing them; rlbench doctor imports every plugin.
+
+    Examples:
+
+    \b
+      rlbench list
+      rlbench list methods --json
+    """
+    load_plugins(plugin, allow_broken=True)
+    from rlbench.benchmark.listing import list_installed
+
+    installed = list_installed(kind)
+    if as_json:
+        print_json(installed)
+    else:
+        print_installed(installed)
+    if any("broken" in row for rows in installed.values() for row in rows):
+        raise typer.Exit(1)
+
+
 def print_installed(installed: dict[str, list[dict[str, Any]]]) -> None:
     """Print one table for each kind, and below it the plugins that cannot be imported."""
+    from rich.console import Console
+    from rich.table import Table
+
     console = Console()
     if not console.is_terminal:  # into a file or a pager, which has no width to fit
         console = Console(width=FILE_WIDTH)

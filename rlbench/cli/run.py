@@ -2,99 +2,90 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection
 from pathlib import Path
 from typing import Annotated, Literal
 
 import typer
 
-from rlbench.cli import arguments, options
-from rlbench.cli.arguments import Seeds, WeightsChoice
-from rlbench.cli.plugins import load_plugins, load_rows
+from rlbench.cli import options
+from rlbench.cli.arguments import Seeds, WeightsChoice, parse_seeds, split_names
+from rlbench.cli.methods import expand_methods, load_plugins, load_rows, warn_without_networks
+from rlbench.cli.options import MEASUREMENT, METHODS, OUTPUT, flag, folder, option
 from rlbench.cli.verbosity import note
 from rlbench.errors import OptionError
 from rlbench.system.process_settings import wait_asleep
 
-__all__ = ["run", "warn_without_networks"]
+__all__ = ["run"]
+
+FIRST_RUN = ("ours", "ntas", "oidn", "oidn/tuned", "mean")  # rows without --methods: make demo
 
 
 def run(
     context: typer.Context,
     methods: options.Methods = None,
+    plugin: options.Plugins = None,
+    scenes: options.Scenes = None,
+    preset: options.Preset = "mini",
+    clips: options.Clips = None,
+    spp: options.Spp = options.DEFAULT_SPP,
+    cost: options.Cost = "measured",
+    out: Annotated[Path, folder("results folder; new rows are added to it")] = Path("results"),
+    keep_images: Annotated[
+        bool,
+        flag(
+            OUTPUT,
+            "--keep-images",
+            "keep the image of each frame, for rlbench evaluate; cells without are run again",
+        ),
+    ] = False,
+    as_json: options.Json = False,
     weights: options.Weights = None,
     bf16: options.Bf16 = False,
     backend: options.Backend = "eager",
     skip_tiles: Annotated[
         bool,
-        typer.Option(
+        flag(
+            METHODS,
             "--skip-tiles",
-            help="keep unchanged tiles of methods with a receptive field, for rows METHOD@tiles",
-            rich_help_panel=options.METHODS,
+            "keep unchanged tiles of methods with a receptive field, for rows METHOD@tiles",
         ),
     ] = False,
-    plugin: options.Plugins = None,
-    scenes: options.Scenes = None,
-    preset: options.Preset = "mini",
     takes: options.Takes = None,
-    clips: options.Clips = None,
-    spp: options.Spp = options.DEFAULT_SPP,
     pool: Annotated[
         Literal["stored", "live"],
-        typer.Option(
-            help="stored samples of the clip, or live ones, traced when they are drawn",
-            rich_help_panel=options.MEASUREMENT,
-        ),
+        option(MEASUREMENT, "stored samples of the clip, or live ones, traced when they are drawn"),
     ] = "stored",
     seed: Annotated[
         Seeds,
-        typer.Option(
-            parser=arguments.parse_seeds,
-            metavar="SEEDS",
+        option(
+            MEASUREMENT,
+            "seeds of the sample order and of rounding, such as 0,1,2; default: 0",
+            value="SEEDS",
+            parse=parse_seeds,
             show_default=False,
-            help="seeds of the sample order and of rounding, such as 0,1,2; default: 0",
-            rich_help_panel=options.MEASUREMENT,
         ),
     ] = options.DEFAULT_SEEDS,
-    draws: options.Draws = None,
-    cost: options.Cost = "measured",
-    repeats: Annotated[
-        int,
-        typer.Option(
-            min=1,
-            help="fewest timed frames of a row; more are timed until the median is steady",
-            rich_help_panel=options.MEASUREMENT,
-        ),
-    ] = 10,
+    draws: Annotated[
+        int | None,
+        option(MEASUREMENT, "number of sample orders: --draws 3 is --seed 0,1,2", min=1),
+    ] = None,
+    repeats: options.Repeats = 10,
     retime: Annotated[
         bool,
-        typer.Option(
-            "--retime",
-            help="measure the times of existing cells again, and no scores",
-            rich_help_panel=options.MEASUREMENT,
-        ),
+        flag(MEASUREMENT, "--retime", "measure the times of existing cells again, and no scores"),
     ] = False,
     scores_only: Annotated[
         bool,
-        typer.Option(
+        flag(
+            MEASUREMENT,
             "--scores-only",
-            help="measure no times; a later run without it, on a quiet machine, adds them",
-            rich_help_panel=options.MEASUREMENT,
+            "measure no times; a later run without it, on a quiet machine, adds them",
         ),
     ] = False,
     limit_frames: options.LimitFrames = None,
     device: options.Device = "auto",
     engine: options.Engine = "local",
     ray_address: options.RayAddress = None,
-    keep_images: Annotated[
-        bool,
-        typer.Option(
-            "--keep-images",
-            help="keep the image of each frame, for rlbench evaluate; cells without are run again",
-            rich_help_panel=options.OUTPUT,
-        ),
-    ] = False,
-    out: options.ResultsOut = Path("results"),
-    as_json: options.Json = False,
 ) -> None:
     """Score and time methods on clips, and add the results.
 
@@ -122,16 +113,13 @@ def run(
       rlbench run -m ours,oidn --keep-images
       rlbench run -m all --preset standard --takes main --engine ray --out large
     """
-    seeds = _orders(seed, draws)
+    seeds = _sample_orders(seed, draws)
     if scores_only:
         wait_asleep()  # before a plugin imports torch
     names = _select_methods(context, plugin, methods)  # before torch
     chosen = weights or WeightsChoice()
-    from rlbench import registry
-    from rlbench.backends import select_backend
-    from rlbench.benchmark.api import check_precision, check_run, select_clips, select_device
+    from rlbench.benchmark.api import plan_run
     from rlbench.benchmark.run_outcome import read_outcome
-    from rlbench.benchmark.run_plan import RunPlan
     from rlbench.benchmark.runner import check_times_alone, measure
     from rlbench.cli import console, json_output
     from rlbench.parallel.ray_executor import open_executor
@@ -139,27 +127,27 @@ def run(
     if retime:
         check_times_alone(scores_only, keep_images)
     warn_without_networks(names, bf16, chosen)
-    target = select_device(device)
-    selected_backend = select_backend(backend, target)
-    check_run(names, spp, out, None if clips else preset, cost, chosen.file, pool)
-    pools = {registry.get_variant(name).traits.pool for name in names}
-    scene_names = arguments.split_names(scenes)
     with open_executor(engine, ray_address) as executor:
-        check_precision(names, bf16, device, executor)
-        plan = RunPlan(
-            methods=names,
-            clips=select_clips(clips, scene_names, preset, takes, pool, pools, executor),
+        plan = plan_run(
+            names,
+            out,
             spp=spp,
+            scenes=split_names(scenes),
+            preset=preset,
+            takes=takes,
+            clips=clips,
+            pool=pool,
             seeds=seeds,
-            device=target,
+            device=device,
             cost=cost,
             weights=chosen.file,
             weights_label=chosen.label,
             bf16=bf16,
-            backend=selected_backend,
+            backend=backend,
             skip_tiles=skip_tiles,
             limit_frames=limit_frames,
             repeats=repeats,
+            executor=executor,
         )
         with console.measuring(plan) as bar:
             summary = measure(
@@ -185,18 +173,23 @@ def _select_methods(
     context: typer.Context, plugins: list[Path] | None, patterns: list[str] | None
 ) -> tuple[str, ...]:
     """The methods to run; without any, those of a first run, and a note that says so."""
-    from rlbench import registry
-
     load_plugins(plugins, allow_broken=True)  # those of a first run include their methods
-    selected = arguments.split_names(patterns) or registry.demo_methods()
+    selected = split_names(patterns) or first_run()
     load_rows(context, None, selected)
-    names = arguments.expand_methods(selected)
+    names = expand_methods(selected)
     if not patterns:
         note(f"rows of a first run: {', '.join(names)}; -m all runs one row of every method")
     return names
 
 
-def _orders(seeds: Seeds, draws: int | None) -> tuple[int, ...]:
+def first_run() -> list[str]:
+    """The rows of a run without --methods: those of `make demo`, then those of plugin files."""
+    from rlbench import registry
+
+    return list(dict.fromkeys([*FIRST_RUN, *registry.plugin_file_methods()]))
+
+
+def _sample_orders(seeds: Seeds, draws: int | None) -> tuple[int, ...]:
     """The seeds of the sample order. Raises OptionError if they are given twice."""
     if draws is None:
         return seeds
@@ -205,13 +198,3 @@ def _orders(seeds: Seeds, draws: int | None) -> tuple[int, ...]:
             f"--draws {draws} is --seed 0:{draws}, and --seed was given too. Omit one"
         )
     return tuple(range(draws))
-
-
-def warn_without_networks(names: Collection[str], bf16: bool, weights: WeightsChoice) -> None:
-    """Say that --bf16 and --weights have no effect, if no method has networks."""
-    from rlbench import registry
-
-    has_networks = any(registry.get_variant(name).learned for name in names)
-    if (bf16 or weights.file) and not has_networks:
-        text = f"--bf16 and --weights have no effect, because {', '.join(names)} has no networks"
-        note(text)

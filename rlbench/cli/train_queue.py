@@ -13,8 +13,8 @@ from typing import Any, Literal
 
 import typer
 
-from rlbench.cli import arguments, training_options
-from rlbench.cli.plugins import load_plugins
+from rlbench.cli.methods import load_plugins, trainable_methods
+from rlbench.cli.train import QUICK_FRAMES
 from rlbench.errors import OptionError
 from rlbench.system.paths import check_writable
 from rlbench.system.progress import format_duration
@@ -102,7 +102,7 @@ def _prepare(
     except typer.BadParameter as error:
         raise QueueError(f"{place}: {error.format_message()}") from error
     load_plugins(params["plugin"])
-    if arguments.trainable_methods([entry.method]) != [entry.method]:
+    if trainable_methods([entry.method]) != [entry.method]:
         raise QueueError(
             f"{place}: '{entry.method}' is a pattern. Write a training for each method"
         )
@@ -110,7 +110,7 @@ def _prepare(
     folder = run_folder(
         out, entry.method, params["holdout"], params["train_spp"], QUICK if quick else ""
     )
-    default = training_options.QUICK_FRAMES if quick else training_options.DEFAULT_FRAMES
+    default = QUICK_FRAMES if quick else options.DEFAULT_FRAMES
     frames = params["frames"] or default
     return Training(entry.name, entry.method, tuple(words), folder, frames, entry.after)
 

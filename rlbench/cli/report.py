@@ -3,16 +3,18 @@
 from __future__ import annotations
 
 import inspect
-from collections.abc import Callable, Collection, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
 
 import typer
 
-from rlbench.cli import arguments, options
-from rlbench.cli.completion import complete_names
+from rlbench.cli import options
+from rlbench.cli.arguments import parse_positive, split_names
 from rlbench.cli.json_output import ReportOutput, print_json
+from rlbench.cli.options import MEASUREMENT, complete_names, folder, option
+from rlbench.cli.selection import find_images, read_rows
 from rlbench.cli.verbosity import note
 from rlbench.errors import OptionError, RlbenchError
 from rlbench.registry.near_names import unknown_name
@@ -23,7 +25,7 @@ if TYPE_CHECKING:
 
     from rlbench.benchmark.shown_clips import ShownClips
 
-__all__ = ["report", "select_budgets", "select_rows"]
+__all__ = ["report"]
 
 
 def report(
@@ -37,31 +39,23 @@ def report(
     ] = "all",
     methods: options.RowMethods = None,
     results: options.Results = Path("results"),
+    out: Annotated[Path | None, folder("folder to write to; default: RESULTS/report")] = None,
     clips: options.Clips = None,
     spp: Annotated[
         float | None,
-        typer.Option(
-            parser=arguments.parse_positive,
-            metavar="SPP",
-            help="budget of reports that show images; default: that nearest to 1 spp",
-            rich_help_panel=options.MEASUREMENT,
+        option(
+            MEASUREMENT,
+            "budget of reports that show images; default: that nearest to 1 spp",
+            value="SPP",
+            parse=parse_positive,
         ),
     ] = None,
     against: Annotated[
         list[str] | None,
-        typer.Option(
-            metavar="FOLDERS",
-            help="results of other presets a,b, whose order of rows the report real compares",
-            rich_help_panel=options.MEASUREMENT,
-        ),
-    ] = None,
-    out: Annotated[
-        Path | None,
-        typer.Option(
-            file_okay=False,
-            metavar="FOLDER",
-            help="folder to write to; default: RESULTS/report",
-            rich_help_panel=options.OUTPUT,
+        option(
+            MEASUREMENT,
+            "results of other presets a,b, whose order of rows the report real compares",
+            value="FOLDERS",
         ),
     ] = None,
     as_json: options.Json = False,
@@ -82,13 +76,9 @@ def report(
       rlbench report zooms --methods ours,ntas --spp 4
       rlbench report real --results results/real --against results,results/unseen
     """
-    from rlbench.benchmark.results import read
-
     writers, target = _find_writers(name), out or results / "report"
-    rows = read(results)
-    if names := arguments.split_names(methods):
-        rows = select_rows(rows, names, results)
-    others = _read_others(name, [Path(folder) for folder in arguments.split_names(against)])
+    rows, names = read_rows(results, methods), split_names(methods)
+    others = _read_others(name, [Path(each) for each in split_names(against)])
     check_writable(target)
     output = ReportOutput()
     images = partial(_find_images, results, rows, clips, spp)
@@ -171,14 +161,12 @@ def _read_others(name: str, folders: Sequence[Path]) -> dict[str, pd.DataFrame]:
     if folders and name != "all" and not _takes_against(registry.load_or_explain("reports", name)):
         raise OptionError(f"--against: report '{name}' compares no presets. Omit it, or write real")
     tables: dict[str, pd.DataFrame] = {}
-    for folder in folders:
-        table = read(folder)
+    for each in folders:
+        table = read(each)
         presets = sorted(set(table["preset"]) - {""})
-        label = presets[0] if len(presets) == 1 else str(folder)
+        label = presets[0] if len(presets) == 1 else str(each)
         if label in tables:
-            raise OptionError(
-                f"--against {folder}: another folder has preset {label} too. Name one"
-            )
+            raise OptionError(f"--against {each}: another folder has preset {label} too. Name one")
         tables[label] = table
     return tables
 
@@ -193,43 +181,8 @@ def _find_images(
 ) -> ShownClips:
     """The clips with kept images. Raises MissingRowsError where there are none."""
     from rlbench.benchmark.results import MissingRowsError
-    from rlbench.cli.view import find_images
 
     found, reason = find_images(results, rows, clips, None if spp is None else (spp,))
     if reason:
         raise MissingRowsError(reason)
     return found
-
-
-def select_rows(table: pd.DataFrame, methods: Collection[str], results: Path) -> pd.DataFrame:
-    """The rows of methods, given by names in the table or by patterns of installed methods.
-
-    Raises OptionError for a name without rows, and PluginError for a name that is neither in the
-    table nor installed.
-    """
-    from rlbench import registry
-    from rlbench.benchmark.results import RowName, select_methods
-
-    available = set(table["method"])  # also of plugins that are not loaded now
-    exact = [name for name in methods if RowName.parse(name).label or name in available]
-    patterns = [name for name in methods if name not in exact]
-    names = exact + registry.expand(patterns, pretrained_only=False)
-    rows = table[select_methods(table, names)]
-    single = [n for n in methods if n.partition("/")[0] != "all" and not n.endswith("/*")]
-    missing = [name for name in single if not select_methods(table, [name]).any()]
-    if missing or rows.empty:
-        names = missing or list(methods)
-        problem = f"{results} has no rows of {', '.join(names)}"
-        raise OptionError(unknown_name(problem, names[0], sorted(available)))
-    return rows
-
-
-def select_budgets(table: pd.DataFrame, spp: Collection[float], results: Path) -> pd.DataFrame:
-    """The rows of these budgets. Raises OptionError for a budget without rows."""
-    available = set(table["target_spp"])
-    if unknown := [f"{budget:g}" for budget in spp if budget not in available]:
-        raise OptionError(
-            f"--spp {','.join(unknown)}: {results} has no rows of it; "
-            f"available: {', '.join(f'{budget:g}' for budget in sorted(available))}"
-        )
-    return table[table["target_spp"].isin(list(spp))]

@@ -8,7 +8,8 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from rlbench.cli import arguments
+from rlbench.cli.arguments import parse_positive
+from rlbench.cli.options import option
 
 if TYPE_CHECKING:
     from rlbench.clips.importers.sequence import ImportedSequence
@@ -25,31 +26,31 @@ def import_(
     ],
     layout: Annotated[
         str,
-        typer.Option(
+        option(
+            None,
+            "falcor, unreal, blender, mitsuba, nrd-sample, oidn, noisebase, rl-path-tracing "
+            "or a TOML file",
             "--layout",
             "--format",
-            metavar="NAME|FILE",
-            help="falcor, unreal, blender, mitsuba, nrd-sample, oidn, noisebase, rl-path-tracing "
-            "or a TOML file",
+            value="NAME|FILE",
         ),
     ],
     out: Annotated[
-        Path,
-        typer.Option(file_okay=False, metavar="FOLDER", help="parent folder of the clips"),
+        Path, option(None, "parent folder of the clips", value="FOLDER", file_okay=False)
     ],
     frames: Annotated[
-        str | None,
-        typer.Option(metavar="FIRST:END", help="frames before END; default: all"),
+        str | None, option(None, "frames before END; default: all", value="FIRST:END")
     ] = None,
     samples: Annotated[
-        int | None, typer.Option(min=1, max=64, help="samples per pixel; default: all, up to 64")
+        int | None, option(None, "samples per pixel; default: all, up to 64", min=1, max=64)
     ] = None,
     exposure: Annotated[
         float | None,
-        typer.Option(
-            parser=arguments.parse_positive,
-            metavar="FACTOR",
-            help="radiance times this is 1 at display white; default: chosen as in render-scene",
+        option(
+            None,
+            "radiance times this is 1 at display white; default: chosen as in render FILE",
+            value="FACTOR",
+            parse=parse_positive,
         ),
     ] = None,
     sanitize: Annotated[
