@@ -102,9 +102,12 @@ def draw_frame_bars(times: pd.DataFrame, caption: str) -> Figure:
         _draw_panel(axes, times[times["target_spp"] == budget], methods)
         axes.set_title(f"{budget:g} spp", loc="left", fontweight="bold")
         axes.set_xlabel("frame time [ms]")
-    has_unreliable = bool(times["unreliable"].any())
+    handles = [Patch(color=color, label=name) for name, color in PARTS.values()]
+    if times["unreliable"].any():
+        pale: dict[str, Any] = {"facecolor": "#E4E4E4", "edgecolor": style.BLACK, "linestyle": "--"}
+        handles.append(Patch(label="?: unreliable time", **pale))
     figure.legend(
-        handles=_key(has_unreliable), loc="upper left", ncol=len(PARTS) + 1, frameon=False,
+        handles=handles, loc="upper left", ncol=len(PARTS) + 1, frameon=False,
         bbox_to_anchor=(0.006, (footer - 0.55) / height), columnspacing=1.6, handlelength=1.4,
     )  # fmt: skip
     figure.text(0.012, 0.10 / height, caption, fontsize=10.5, color=style.BLACK, va="bottom")
@@ -136,11 +139,3 @@ def _draw_panel(axes: Axes, times: pd.DataFrame, methods: list[str]) -> None:
     axes.set_yticks(range(len(methods)), methods)
     axes.tick_params(axis="y", length=0)
     axes.grid(visible=False, axis="y")
-
-
-def _key(has_unreliable: bool) -> list[Patch]:
-    handles = [Patch(color=color, label=name) for name, color in PARTS.values()]
-    pale = Patch(
-        facecolor="#E4E4E4", edgecolor=style.BLACK, linestyle="--", label="?: unreliable time"
-    )
-    return [*handles, pale] if has_unreliable else handles

@@ -15,6 +15,7 @@ import pandas as pd
 
 from reports.layout.files import drawn_png, folder_argument
 from reports.layout.style import BLACK, GREY
+from reports.layout.tables import pipe_table
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -148,18 +149,17 @@ def gradient_table(rows: pd.DataFrame) -> str:
     "?" is hidden by noise, and ">" a lower bound for the same reason.
     """
     budgets = " / ".join(f"{spp:g}" for spp in TABLE_BUDGETS)
-    lines = [
-        f"| at {budgets} spp | cosine, {PLAIN} | cosine, {WEIGHTED} | length, {PLAIN} "
-        f"| frames, {PLAIN} | frames, {WEIGHTED} |",
-        "| --- |" + " ---: |" * 5,
-    ]
+    lines = []
     for name in rows["estimator"].unique():
         own = rows[rows["estimator"] == name]
         cells = [_cells(own, PLAIN, "cosine"), _cells(own, WEIGHTED, "cosine")]
         cells += [_cells(own, PLAIN, "scale") if own["has_scale"].all() else "any"]
         cells += [_cells(own, PLAIN, "frames"), _cells(own, WEIGHTED, "frames")]
-        lines.append("| " + " | ".join([name, *cells]) + " |")
-    return "\n".join(lines) + "\n"
+        lines.append([name, *cells])
+    both = (PLAIN, WEIGHTED)
+    titles = [*(f"cosine, {name}" for name in both), f"length, {PLAIN}"]
+    titles += [f"frames, {name}" for name in both]
+    return pipe_table([f"at {budgets} spp", *titles], lines)
 
 
 def _cells(rows: pd.DataFrame, denoiser: str, column: str) -> str:
@@ -179,15 +179,11 @@ def _frames(value: float) -> str:
 def ratio_table(rows: pd.DataFrame) -> str:
     """Share of ratios outside the clip range, a line per ratio and step, as Markdown."""
     sides = sorted(rows["side"].unique())
-    lines = [
-        "| ratio, step | " + " | ".join(f"{side}x{side}" for side in sides) + " |",
-        "| --- |" + " ---: |" * len(sides),
-    ]
+    lines = []
     for (ratio, step), own in _by_ratio_and_step(rows):
         shares = own.set_index("side")["clipped"].reindex(sides)
-        cells = [f"{share:.0%}" for share in shares]
-        lines.append("| " + " | ".join([f"{ratio}, {step}", *cells]) + " |")
-    return "\n".join(lines) + "\n"
+        lines.append([f"{ratio}, {step}", *(f"{share:.0%}" for share in shares)])
+    return pipe_table(["ratio, step", *(f"{side}x{side}" for side in sides)], lines)
 
 
 def main(folder: Path) -> None:

@@ -14,6 +14,7 @@ import pandas as pd
 
 from reports.layout.files import drawn_png, folder_argument
 from reports.layout.style import BLACK, GREY
+from reports.layout.tables import pipe_table
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -60,8 +61,7 @@ def markdown_table(rows: pd.DataFrame) -> str:
     best = rows.groupby(TRAINING)["score"].max().reset_index()
     modes = [mode for mode in TITLES if mode in set(last["mode"])]
     scores = [f"{mode} {when}" for mode in modes for when in ("at the end", "best")]
-    lines = ["| " + " | ".join(["learner", *scores, "frames", "CPU s", "seeds"]) + " |"]
-    lines.append("| --- |" + " ---: |" * (len(scores) + 3))
+    lines = []
     for name in (n for n in LINE_STYLES if n in set(last["learner"])):
         learner, cells = last[last["learner"] == name], [name]
         for mode in modes:
@@ -69,8 +69,8 @@ def markdown_table(rows: pd.DataFrame) -> str:
             top = best.loc[(best["learner"] == name) & (best["mode"] == mode), "score"]
             cells += [_format_range(end), f"{top.mean():.2f}" if len(top) else "-"]
         cells += [f"{learner['frames'].max()}", f"{learner['seconds'].mean():.0f}"]
-        lines.append("| " + " | ".join([*cells, str(learner["seed"].nunique())]) + " |")
-    return "\n".join(lines) + "\n"
+        lines.append([*cells, str(learner["seed"].nunique())])
+    return pipe_table(["learner", *scores, "frames", "CPU s", "seeds"], lines)
 
 
 def _format_range(scores: pd.Series[float]) -> str:

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 from textwrap import fill
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any
 
 import pandas as pd
 from matplotlib.figure import Figure
@@ -36,6 +36,7 @@ WIDTH, HEIGHT = 13.0, 5.4  # inches; keys and caption come on top; many names ne
 LEADER, GAP = 0.4, 0.75  # inches: from the first panel to names beside it, from these to an axis
 OVERALL = "mean of all scenes"
 HEADING_LETTERS = 150  # in a line
+Range = tuple[float, float]
 DOMINATED, DOMINATED_COLOUR = "slower and worse than another", "#EFEFEF"
 
 
@@ -112,15 +113,12 @@ def figure_labels(scores: Scores) -> Labels:
         f"samples per pixel x time of one sample per pixel ({scores.cost_source or 'not named'})."
     )
     label = f"{title} [{unit}]" if unit else title
-    heading = "; ".join(_describe_mix(scores, *mix) for mix in scores.device_mixes.items())
+    everyone = set(scores.measured["method"])
+    heading = "; ".join(
+        f"Two devices: {devices}" + ("" if everyone <= set(names) else f" ({', '.join(names)})")
+        for devices, names in scores.device_mixes.items()
+    )
     return Labels(label, scores.direction, caption + _missing_methods(scores), heading)
-
-
-def _describe_mix(scores: Scores, devices: str, methods: list[str]) -> str:
-    """A line of the title: frame times of these methods add times of two devices."""
-    everyone = set(scores.measured["method"]) <= set(methods)
-    named = "" if everyone else f" ({', '.join(methods)})"
-    return f"Two devices: {devices}{named}"
 
 
 def _check_points(points: pd.DataFrame, scores: Scores) -> None:
@@ -180,15 +178,17 @@ def draw_pareto(plotted: pd.DataFrame, labels: Labels) -> Figure:
     beside = LEADER + label_width(named.to_numpy(), number)
     panels = _add_panels(figure, scenes, beside, footer / (height + footer), top)
     figure.text(0.012, 0.985, heading, fontsize=12, fontweight="bold", color=style.BLACK, va="top")
-    sizes = _marker_areas(plotted["target_spp"])
+    budgets = sorted(set(plotted["target_spp"]))  # markers grow with them
+    sizes = {spp: 26 + 95 * i / max(len(budgets) - 1, 1) for i, spp in enumerate(budgets)}
     parts = {scene: plotted[plotted["scene"] == scene] for scene in panels}
     windows = {scene: _window(part, labels.direction) for scene, part in parts.items()}
-    is_log = any(_spans_decades(*window.times) for window in windows.values())
+    is_log = any(_spans_decades(*times) for _, times in windows.values())
     for scene, axes in panels.items():
         _set_scales(axes, windows[scene], is_log, labels.direction)
         style.note_hidden_points(axes, parts[scene], axes.get_ylim()[0])
         front = parts[scene][parts[scene]["front"]]
-        _shade_dominated(axes, front, labels.direction)
+        if len(front):
+            _shade_dominated(axes, front, labels.direction)
         ends = _draw_curves(axes, parts[scene], styles, sizes)
         if scene == scenes[0]:
             label_curves(axes, ends, styles, height, number)
@@ -225,28 +225,21 @@ def _add_panels(
     return panels
 
 
-class _Window(NamedTuple):
-    """What a panel shows: the values of the points in it, and their times."""
-
-    values: tuple[float, float]
-    times: tuple[float, float]
-
-
-def _window(points: pd.DataFrame, direction: str) -> _Window:
-    """What is seen of these points; of PSNR, from WINDOW_DB below the best on."""
+def _window(points: pd.DataFrame, direction: str) -> tuple[Range, Range]:
+    """The scores and times that a panel shows; of PSNR, from WINDOW_DB below the best on."""
     low, high = points["value"].min(), points["value"].max()
     bottom = max(low, high - WINDOW_DB) if direction == "higher" else low
     times = points[points["value"] >= bottom]["frame_ms"]
-    return _Window((bottom, high), (times.min(), times.max()))
+    return (bottom, high), (times.min(), times.max())
 
 
 def _spans_decades(left: float, right: float) -> bool:
     return left > 0 and right / left > LOG_RATIO
 
 
-def _set_scales(axes: Axes, window: _Window, is_log: bool, direction: str) -> None:
+def _set_scales(axes: Axes, window: tuple[Range, Range], is_log: bool, direction: str) -> None:
     """Set limits and scales; a low score that spans decades is logarithmic too."""
-    left, right = window.times
+    (low, high), (left, right) = window
     if is_log and left > 0:
         axes.set_xscale("log")
         axes.xaxis.set_major_locator(LogLocator(subs=(1, 2, 5), numticks=20))
@@ -255,7 +248,6 @@ def _set_scales(axes: Axes, window: _Window, is_log: bool, direction: str) -> No
         axes.set_xlim(left / (right / left) ** 0.06, right * (right / left) ** 0.06)
     else:
         axes.set_xlim(left - 0.06 * (right - left or 1), right + 0.06 * (right - left or 1))
-    low, high = window.values
     if direction == "lower" and _spans_decades(low, high):
         axes.set_yscale("log")
         axes.set_ylim(low / 1.3, high * 1.3)
@@ -265,9 +257,7 @@ def _set_scales(axes: Axes, window: _Window, is_log: bool, direction: str) -> No
 
 
 def _shade_dominated(axes: Axes, front: pd.DataFrame, direction: str) -> None:
-    """Shade the area that is slower and worse than a point of the Pareto front, if there is one."""
-    if front.empty:
-        return
+    """Shade the area that is slower and worse than a point of the Pareto front."""
     front = front.sort_values("frame_ms")
     times = [*front["frame_ms"], axes.get_xlim()[1]]
     values = [*front["value"], front["value"].iloc[-1]]
@@ -293,12 +283,6 @@ def _draw_curves(
         last = curve.iloc[-1]
         ends.append((str(method), float(last["frame_ms"]), float(last["value"])))
     return ends
-
-
-def _marker_areas(spp: pd.Series) -> dict[float, float]:
-    """Marker area in square points for each budget, in equal steps from lowest to highest."""
-    budgets = sorted(set(spp))
-    return {spp: 26 + 95 * i / max(len(budgets) - 1, 1) for i, spp in enumerate(budgets)}
 
 
 def _add_keys(figure: Figure, sizes: dict[float, float], has_unreliable: bool, y: float) -> None:

@@ -62,8 +62,7 @@ def write(results: pd.DataFrame, folder: Path, name: str = "recovery") -> list[P
     """Write the page and a figure of PSNR by frame, see `write_report` and `write_figures`."""
     missing = (
         f"no clip has a cut or a light change with {MIN_SPAN} frames after it. Takes have: "
-        "rlbench run --preset takes. Where clips are older than the key "
-        "`light_changes`, remove their clip.toml; rlbench render writes it and keeps the frames"
+        "rlbench run --preset takes"
     )
     page = write_report(results, folder, name, "Recovery", _section, missing)
     return [*page, *write_figures(results, folder, name, _figures)]

@@ -16,6 +16,7 @@ from matplotlib.patches import Rectangle
 
 from reports.layout.files import drawn_png
 from reports.layout.style import BLACK
+from reports.layout.tables import escape_bars, pipe_table
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -99,24 +100,16 @@ def write_page(matrix: Matrix, folder: Path) -> list[Path]:
     pairs = [(method, section) for method in matrix.methods for section in sections]
     cells = {pair: cell for pair in pairs if (cell := matrix.summary(*pair))}
     draw_grid(cells, matrix.methods, sections, "Stress tests passed", overview)
-    pictures = [_draw_section(matrix, section, folder) for section in sections]
+    pictures = []
+    for section in sections:
+        rows = matrix.of_section(section)
+        keys = zip(rows["method"], rows["test"], strict=True)
+        marked = dict(zip(keys, map(Cell, rows["verdict"]), strict=True))
+        pictures.append(folder / f"stress-{section}.png")
+        tests = list(dict.fromkeys(rows["test"]))
+        draw_grid(marked, matrix.methods, tests, f"Section {section}", pictures[-1])
     page.write_text("\n".join(_page(matrix)), encoding="utf-8")
     return [page, overview, *pictures]
-
-
-def _draw_section(matrix: Matrix, section: str, folder: Path) -> Path:
-    """The picture of a section: methods by tests."""
-    rows = matrix.of_section(section)
-    keys = zip(rows["method"], rows["test"], strict=True)
-    cells = dict(zip(keys, map(Cell, rows["verdict"]), strict=True))
-    tests = list(dict.fromkeys(rows["test"]))
-    file = folder / _picture(section)
-    draw_grid(cells, matrix.methods, tests, f"Section {section}", file)
-    return file
-
-
-def _picture(section: str) -> str:
-    return f"stress-{section}.png"
 
 
 def _page(matrix: Matrix) -> Iterator[str]:
@@ -130,7 +123,7 @@ def _page(matrix: Matrix) -> Iterator[str]:
         yield small_table(matrix, [SUITE], is_suite=True)
     for section in matrix.sections():
         yield f"## {section}\n"
-        yield f"![Verdict of each method in each test of {section}]({_picture(section)})\n"
+        yield f"![Verdict of each method in each test of {section}](stress-{section}.png)\n"
         yield _list_faults(matrix.of_section(section))
     for section in matrix.sections(is_suite=True):
         yield f"## {section}\n"
@@ -163,9 +156,7 @@ def _list_faults(rows: pd.DataFrame) -> str:
 
 
 def _format_table(head: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
-    lines = [head, ["---"] * len(head), *rows]
-    escaped = ([cell.replace("|", "\\|") for cell in line] for line in lines)
-    return "".join(f"| {' | '.join(line)} |\n" for line in escaped)
+    return pipe_table(head, [list(map(escape_bars, row)) for row in rows], numbers=False)
 
 
 def _format_figure(row: Mapping[Hashable, Any]) -> str:

@@ -114,12 +114,13 @@ def _table(scores: Scores, records: pd.DataFrame) -> Table:
     paper = published()
     budgets = sorted(set(records["target_spp"]))
     cells = {(row["method"], row["target_spp"]): row for row in records.to_dict("records")}
+    psnr = {key: row["psnr"] for key, row in cells.items()}
     order = [row.row for row in paper.table]
     methods = set(records["method"])
     rows = tuple(
         (
             method,
-            *(_psnr_cell(cells.get((method, spp))) for spp in budgets),
+            *(format_number(psnr.get((method, spp), math.nan), ".2f") for spp in budgets),
             *_difference_and_time(cells.get((method, paper.spp))),
             *_published_cells(method),
         )
@@ -141,10 +142,6 @@ def _table(scores: Scores, records: pd.DataFrame) -> Table:
         f"{WARNING} {_orders_text(records)}"
     )
     return Table(f"Table 1 of {paper.title}, measured and published", caption, header, rows)
-
-
-def _psnr_cell(row: Record | None) -> str:
-    return "-" if row is None else format_number(row["psnr"], ".2f")
 
 
 def _difference_and_time(row: Record | None) -> tuple[str, str]:

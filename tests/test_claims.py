@@ -9,8 +9,8 @@ from pathlib import Path
 
 import pytest
 
-from reports.analysis.intervals import Interval
 from reports.analysis.differences import LEADS, NOT_RESOLVED, TIE, TIE_DB, TRAILS, name_verdict
+from reports.analysis.intervals import Interval
 
 ROOT = Path(__file__).parents[1]
 RESULTS = ROOT / "docs" / "results"

@@ -61,8 +61,8 @@ def main(arguments: Sequence[str] | None = None) -> None:
 
 
 def _extract(variant: str, name: str, file: Path) -> Path:
-    origin = f"Intel's weights of Open Image Denoise {library_version()}, Apache-2.0"
     network = load_network(VARIANTS[variant].widths)
+    origin = f"Intel's weights of Open Image Denoise {library_version()}, Apache-2.0"
     save(network, file, ModelCard(name, command=COMMAND, origin=origin, note=NOTE))
     return file
 

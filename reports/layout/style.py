@@ -84,7 +84,8 @@ def line_styles(methods: Iterable[str]) -> dict[str, LineStyle]:
     free = [color for color in SPARE_COLOURS if color not in used]
     spare = {family: free[i % len(free)] for i, family in enumerate(unlisted)}
     order = [*FAMILY_COLOURS, *unlisted]
-    variants = {name: _variant_index(name, names) for name in names}
+    families = {f: [name for name in names if family_of(name) == f] for f in present}
+    variants = {name: families[family_of(name)].index(name) for name in names}
     styles: dict[str, LineStyle] = {}
     for name in sorted(names, key=lambda name: (variants[name], order.index(family_of(name)))):
         family, i = family_of(name), variants[name]
@@ -93,11 +94,6 @@ def line_styles(methods: Iterable[str]) -> dict[str, LineStyle]:
         face, edge, width = (color, "white", 0.8) if i == 0 else ("white", color, 1.5)
         styles[name] = LineStyle(color, marker, dash, face, edge, width)
     return {name: styles[name] for name in names}
-
-
-def _variant_index(name: str, names: list[str]) -> int:
-    """The place of a method among those of its family."""
-    return [other for other in names if family_of(other) == family_of(name)].index(name)
 
 
 def _free_marker(first: int, variant: int, styles: Iterable[LineStyle]) -> tuple[str, Any]:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Hashable, Iterable, Mapping
+from collections.abc import Callable, Hashable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -150,13 +150,22 @@ def _number_format(unit: str, values: pd.Series[float]) -> Callable[[float], str
 
 def to_markdown(table: Table) -> str:
     """The table in GitHub's Markdown, its title as a heading and its caption as a paragraph."""
-    rule = ["---", *["---:"] * (len(table.header) - 1)]
-    lines = [[_markdown_cell(cell) for cell in row] for row in (table.header, *table.rows)]
-    lines.insert(1, rule)
-    body = "\n".join("| " + " | ".join(line) + " |" for line in lines)
-    return "\n\n".join(filter(None, [f"### {table.title}", table.caption, f"{body}\n"]))
+    header, *rows = ([escape_bars(cell) for cell in row] for row in (table.header, *table.rows))
+    return "\n\n".join(
+        filter(None, [f"### {table.title}", table.caption, pipe_table(header, rows)])
+    )
 
 
-def _markdown_cell(cell: str) -> str:
+def pipe_table(header: Sequence[str], rows: Iterable[Sequence[str]], numbers: bool = True) -> str:
+    """A table of cells in Markdown; all columns but the first are aligned to the right.
+
+    Without `numbers`, all are aligned to the left.
+    """
+    rule = ["---", *["---:" if numbers else "---"] * (len(header) - 1)]
+    return "".join("| " + " | ".join(line) + " |\n" for line in (header, rule, *rows))
+
+
+def escape_bars(cell: str) -> str:
+    """The cell for a table of pipes; bold if it is `Bold`."""
     text = cell.replace("|", "\\|")
     return f"**{text}**" if isinstance(cell, Bold) else text

@@ -8,8 +8,8 @@ from importlib.resources import files
 from itertools import groupby
 from typing import TYPE_CHECKING, Any
 
-from reports.layout.tables import UNRELIABLE_MARK
-from reports.site.markdown import escape, front_matter, link, method_path, table
+from reports.layout.tables import UNRELIABLE_MARK, pipe_table
+from reports.site.markdown import escape, front_matter, link, method_path
 from reports.site.pages import (
     board_link,
     leaderboard_path,
@@ -102,7 +102,7 @@ def _home(scores: Sequence[PresetScores], methods: int, scenes: int) -> str:
     return (
         front_matter("Leaderboard")
         + "# Leaderboard\n\nWhich row has the least error, on which clips, at which budget?\n\n"
-        + table(("preset", "rows", "scenes", "best mean PSNR"), rows, numbers=False)
+        + pipe_table(("preset", "rows", "scenes", "best mean PSNR"), rows, numbers=False)
         + f"\nAll {methods} [methods](../{METHODS}) and {scenes} [scenes](../{SCENES}) have pages "
         "of their own. A mean over few scenes does not separate close rows: see the intervals, and "
         "[how results are compared](../concepts/statistics.md). "
@@ -118,7 +118,7 @@ def _methods_home(families: Mapping[str, Sequence[MethodFacts]]) -> str:
             for r in rows
         ]
         head = ("row", "question", "kind")
-        parts += [f"## {family}\n", f"{escape(rows[0].paper)}\n", table(head, lines, False)]
+        parts += [f"## {family}\n", f"{escape(rows[0].paper)}\n", pipe_table(head, lines, False)]
     return "\n".join(parts)
 
 
@@ -219,4 +219,4 @@ def _static_table(scores: PresetScores, methods: Mapping[str, MethodFacts], page
         cell = link(escape(name), method_path(name), page) if name in methods else escape(name)
         records = [scores.record(name, spp) for spp in scores.budgets]
         rows.append([cell, *(f"{r['mean']:.2f}" if r else "–" for r in records)])
-    return table(["method", *(f"{spp:g} spp" for spp in scores.budgets)], rows)
+    return pipe_table(["method", *(f"{spp:g} spp" for spp in scores.budgets)], rows)

@@ -8,7 +8,8 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from reports.site.markdown import escape, facts, front_matter, link, method_path, table, unbroken
+from reports.layout.tables import pipe_table
+from reports.site.markdown import escape, facts, front_matter, link, method_path, unbroken
 from reports.site.preset_scores import PresetScores
 
 if TYPE_CHECKING:
@@ -124,7 +125,7 @@ def _method_scores(name: str, scores: PresetScores, page: str) -> str:
         by_scene = [_score(name, scores, scene, spp) for scene in scenes]
         rows.append([f"{spp:g}", *overall, *by_scene])
     return (
-        f"### {board_link(scores, page)}{device}\n\n{table(header, rows)}\n"
+        f"### {board_link(scores, page)}{device}\n\n{pipe_table(header, rows)}\n"
         "PSNR is the mean over scenes. Brackets: 95 % interval of the paired difference to the "
         f"best row at this budget. ±: standard error over the frames of a scene. {scores.source}\n"
     )
@@ -173,7 +174,8 @@ def _siblings(method: MethodFacts, siblings: Sequence[MethodFacts], page: str) -
     ]
     if not others:
         return ""
-    return "## Other rows of the family\n\n" + table(("row", "question"), others, numbers=False)
+    rows = pipe_table(("row", "question"), others, numbers=False)
+    return f"## Other rows of the family\n\n{rows}"
 
 
 def scene_path(name: str) -> str:
@@ -223,7 +225,7 @@ def _takes(takes: Sequence[TakeFacts]) -> str:
         for t in takes
     ]
     head = ("clip", "camera and objects", "cut at frame", "lights switch at frame")
-    return "## Clips\n\n" + table(head, rows, numbers=False)
+    return "## Clips\n\n" + pipe_table(head, rows, numbers=False)
 
 
 def _frames(frames: Sequence[int]) -> str:
@@ -250,7 +252,7 @@ def _scene_scores(scene: str, scores: PresetScores, page: str, pages: frozenset[
     return (
         f"## Scores: {board_link(scores, page)}\n\nPSNR in dB ± standard error over the frames, "
         f"best at {first:g} spp first. {scores.source}\n\n"
-        + table(["method", *(f"{spp:g} spp" for spp in scores.budgets)], rows)
+        + pipe_table(["method", *(f"{spp:g} spp" for spp in scores.budgets)], rows)
     )
 
 

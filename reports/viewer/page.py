@@ -101,7 +101,8 @@ def _select_methods(
 def _render(data: Mapping[str, Any], clips: Sequence[str], error: float) -> str:
     sources = {path.name: path.read_text(encoding="utf-8") for path in ASSETS.iterdir()}
     modules = {
-        f"viewer/{name}": _data_url(f"{text}\n//# sourceURL=viewer/{name}\n")
+        f"viewer/{name}": "data:text/javascript;base64,"
+        + base64.b64encode(f"{text}\n//# sourceURL=viewer/{name}\n".encode()).decode()
         for name, text in sorted(sources.items())
         if name.endswith(".js")
     }
@@ -115,10 +116,6 @@ def _render(data: Mapping[str, Any], clips: Sequence[str], error: float) -> str:
         data=to_json({**data, "relative_error": error}),
         clips=[text.replace("</", "<\\/") for text in clips],
     )
-
-
-def _data_url(module: str) -> str:
-    return "data:text/javascript;base64," + base64.b64encode(module.encode()).decode()
 
 
 def to_json(document: Any) -> str:

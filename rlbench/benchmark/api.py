@@ -27,7 +27,7 @@ from rlbench.benchmark.clip_sources import POOLS, StoredSource, open_source
 from rlbench.benchmark.run_outcome import RunWarning, judge_run
 from rlbench.benchmark.run_plan import DEFAULT_SPP, RunPlan
 from rlbench.benchmark.runner import CellCallback, measure, read_cells
-from rlbench.clips.clip_folders import find_all_clips
+from rlbench.clips.stored import find_all_clips
 from rlbench.errors import OptionError
 from rlbench.parallel.executor import LOCAL, Executor
 from rlbench.registry.near_names import unknown_name
@@ -43,13 +43,12 @@ if TYPE_CHECKING:
 
 __all__ = [
     "check_precision",
+    "check_run",
     "render_clips",
     "report",
     "run",
     "select_clips",
     "select_device",
-    "check_budgets",
-    "check_run",
 ]
 
 RESULTS = Path("results")

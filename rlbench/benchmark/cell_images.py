@@ -26,8 +26,7 @@ from rlbench.benchmark import results
 from rlbench.benchmark.cell_key import CellId, CellKey
 from rlbench.benchmark.clip_sources import StoredSource
 from rlbench.benchmark.results import RowName
-from rlbench.clips.exr import read_planes, write_exr
-from rlbench.clips.exr_header import read_exr_header
+from rlbench.clips.exr import read_exr_header, read_planes, write_exr
 from rlbench.clips.header import Header
 from rlbench.errors import RlbenchError
 from rlbench.run import FrameResult
@@ -35,20 +34,17 @@ from rlbench.system import documents, paths
 
 __all__ = [
     "CellImages",
+    "KeptCell",
     "KeptFrame",
     "KeptImages",
     "KeptImagesError",
     "drop_images",
-    "KeptImagesError",
-    "KeptCell",
+    "find_all_images",
     "find_images",
     "find_kept_cells",
     "image_pools",
-    "images_folder",
     "list_images",
     "write_images",
-    "KeptImagesError",
-    "find_all_images",
 ]
 
 FOLDER = "images"  # in a results folder
@@ -56,6 +52,7 @@ RECORD = "cell.json"
 SCHEMA = 1  # of the record and of the channels
 CHANNELS = ("R", "G", "B", "counts")
 HALF_MAX = 65504.0  # largest half float; brighter finite values are stored as this
+MAX_NAMED = 6  # cells in a message
 
 
 class KeptImagesError(RlbenchError, ValueError):
@@ -209,9 +206,6 @@ def _read_record(folder: Path) -> KeptImages:
     cell = CellId(record.key, record.content_hash)
     shared = record.pool, record.clip_digest, record.max_samples
     return KeptImages(folder, cell, *shared, record.checksums)
-
-
-MAX_NAMED = 6  # cells in a message
 
 
 def find_all_images(

@@ -1,7 +1,8 @@
-"""The stopwatch: times of the parts of a frame, read around a method and its sample pool.
+"""The clocks of a machine, a stopwatch for the parts of a frame, and how busy the machine is.
 
 A method never times itself. It runs through the same page as in the benchmark, inside a wrapper
-with a stopwatch. The device is synchronized before each reading.
+with a stopwatch. The device is synchronized before each reading. A calibration kernel, fixed work,
+shows by its time how busy the machine is.
 """
 
 from __future__ import annotations
@@ -10,11 +11,12 @@ import math
 import os
 import statistics
 import time
+from collections import defaultdict
 from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import NamedTuple, Protocol
+from typing import NamedTuple
 
 import torch
 from jaxtyping import Float, Int
@@ -26,46 +28,29 @@ from rlbench.sanitize import FrameInput, sanitize_frame
 from rlbench.wrappers import MethodWrapper
 
 __all__ = [
-    "Clock",
+    "Calibration",
+    "Calibrator",
     "FrameTime",
     "Stopwatch",
     "SystemClock",
     "TimedMethod",
-    "timed_reader",
-    "MIN_PROCESSOR_SHARE",
-    "SLOWDOWN",
-    "Calibration",
-    "Calibrator",
     "load_average",
     "make_kernel",
+    "timed_reader",
 ]
 
 SETTLE_SECONDS = 0.01  # idle threads of TBB look for work for 1 to 5 ms
 SCHEDULER = Path("/proc/self/task")  # a folder for each thread, with its schedstat
-
-
-class Clock(Protocol):
-    """The clocks of a machine; tests have one whose time they set."""
-
-    def wall_ms(self) -> float:
-        """Milliseconds since some moment, once the device has nothing left to do."""
-
-    def processor_ms(self) -> float:
-        """Milliseconds that all threads of this process have run on a processor."""
-
-    def waiting_ms(self) -> float:
-        """Milliseconds that threads of this process waited for a processor; nan: unknown."""
-
-    def context_switches(self) -> int:
-        """How often the system took a processor from this process, whatever its thread."""
-
-    def settle(self) -> None:
-        """Wait until threads that have nothing left to do are asleep."""
+SLOWDOWN = 1.25  # times a quiet calibration; beyond it the machine is busy
+MIN_PROCESSOR_SHARE = 0.8  # of the processor time that its threads ask for, on a quiet machine
+REPEATS = 9  # runs of the kernel in one calibration
+SIDE = {"cpu": 256}  # of the kernel's matrices: about a millisecond
+ACCELERATOR_SIDE = 2048
 
 
 @dataclass(frozen=True)
 class SystemClock:
-    """The clocks of this machine, for work on `device`."""
+    """The clocks of this machine, for work on `device`; tests have one whose time they set."""
 
     device: torch.device
 
@@ -122,10 +107,10 @@ class FrameTime(NamedTuple):
 class Stopwatch:
     """Charges the time between two readings to one part of a frame."""
 
-    clock: Clock
+    clock: SystemClock
     is_drawing: bool = False  # between `plan` and what follows it: samples are drawn
-    _parts: dict[str, float] = field(default_factory=dict)
-    _processor: dict[str, float] = field(default_factory=dict)
+    _parts: defaultdict[str, float] = field(default_factory=lambda: defaultdict(float))
+    _processor: defaultdict[str, float] = field(default_factory=lambda: defaultdict(float))
     _last: tuple[float, float] = (0.0, 0.0)
     _switches: int = 0
 
@@ -133,8 +118,8 @@ class Stopwatch:
         """Charge the time since the last reading to `part`."""
         before, processor_before = self._last
         self.skip()
-        self._parts[part] = self._parts.get(part, 0.0) + self._last[0] - before
-        self._processor[part] = self._processor.get(part, 0.0) + self._last[1] - processor_before
+        self._parts[part] += self._last[0] - before
+        self._processor[part] += self._last[1] - processor_before
 
     def skip(self) -> None:
         """Charge the time since the last reading to nothing."""
@@ -154,18 +139,19 @@ class Stopwatch:
         A method that does not adapt has the same counts in every frame, so allocation costs it
         nothing.
         """
-        switches, free = self.clock.context_switches(), () if is_adaptive else ("allocate",)
-        parts = {part: ms for part, ms in self._parts.items() if part not in free}
-        processor = {part: ms for part, ms in self._processor.items() if part not in free}
+        switches, (parts, processor) = self.clock.context_switches(), (self._parts, self._processor)
+        if not is_adaptive:
+            parts["allocate"] = processor["allocate"] = 0.0
         reading = FrameTime(
-            parts.get("plan", 0.0),
-            parts.get("allocate", 0.0),
-            parts.get("denoise", 0.0),
-            parts.get("sample_fetch", 0.0),
-            sum(processor.values()) - processor.get("sample_fetch", 0.0),
-            switches - self._switches,
+            plan=parts["plan"],
+            allocate=parts["allocate"],
+            denoise=parts["denoise"],
+            sample_fetch=parts["sample_fetch"],
+            processor=sum(processor[name] for name in ("plan", "allocate", "denoise")),
+            switches=switches - self._switches,
         )
-        self._parts, self._processor, self._switches = {}, {}, switches
+        self._parts, self._processor = defaultdict(float), defaultdict(float)
+        self._switches = switches
         return reading
 
 
@@ -219,13 +205,6 @@ def timed_reader(stopwatch: Stopwatch) -> Callable[[Frame, frozenset[str]], Fram
     return read
 
 
-SLOWDOWN = 1.25  # times a quiet calibration; beyond it the machine is busy
-MIN_PROCESSOR_SHARE = 0.8  # of the processor time that its threads ask for, on a quiet machine
-REPEATS = 9  # runs of the kernel in one calibration
-SIDE = {"cpu": 256}  # of the kernel's matrices: about a millisecond
-ACCELERATOR_SIDE = 2048
-
-
 class Calibration(NamedTuple):
     """One reading of the kernel."""
 
@@ -247,7 +226,7 @@ class Calibrator:
     that still look for work would count as such a load, so a reading first lets them fall asleep.
     """
 
-    clock: Clock
+    clock: SystemClock
     kernel: Callable[[], object]
 
     def measure(self) -> Calibration:

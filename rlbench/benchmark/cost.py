@@ -1,8 +1,8 @@
 """The cost of a frame's samples and of its G-buffer, measured or published.
 
 `measured` is the time in the clip's header if the clip was rendered on this machine, else the time
-of this machine's own path tracer, measured once and cached. Any other name is a cost profile
-(`cost_profile`).
+of this machine's own path tracer, measured once and cached. Any other name is a cost profile:
+published times of a renderer, and of methods, on a named machine.
 """
 
 from __future__ import annotations
@@ -24,16 +24,14 @@ if TYPE_CHECKING:
     from rlbench.clips.stored import Header
 
 __all__ = [
-    "MEASURED",
+    "Cost",
     "CostError",
     "CostProfile",
     "ProfileTime",
-    "profile",
-    "profiles",
-    "FULL_FRAME",
-    "Cost",
     "Scatter",
     "measured",
+    "profile",
+    "profiles",
     "published",
     "tracing",
     "with_gbuffer",
@@ -43,6 +41,10 @@ MEASURED = "measured"  # the name of no profile: times of this machine
 PROFILES = Path(__file__).parent / "profiles"
 TABLES = ("scene_ms", "inference_ms")
 PAGE = "docs/how-to/charge-your-renderer.md has one to copy"
+UNKNOWN_GBUFFER = (
+    "not known, charged as 0: rlbench render --remeasure-sample-time measures it for presets"
+)
+MAX_SPREAD = 1.25  # p95 / p5 of the time of a sample; beyond it the machine was busy
 
 
 class CostError(RlbenchError, ValueError):
@@ -180,9 +182,6 @@ def _is_at_least(minimum: float, value: object) -> bool:
     return isinstance(value, int | float) and minimum <= value < math.inf
 
 
-MAX_SPREAD = 1.25  # p95 / p5 of the time of a sample; beyond it the machine was busy
-
-
 class Scatter(NamedTuple):
     """A factor on the time of a sample, for counts that leave holes."""
 
@@ -240,20 +239,17 @@ def measured(header: Header, machine: str, pool: str = "path") -> Cost:
         tracer = header.tracer_of_times
         convention += f", {tracer}" * bool(tracer)
         return Cost(known_ms, convention, _spread_reason(header) or note, _device(tracer, machine))
+    reason = f"rendered on '{header.device}', not here, and "
     if header.scene not in registry.list_entries("scenes"):
-        reason = (
-            f"rendered on '{header.device}', not here, and '{header.scene}' is not a scene that "
-            "can be traced here; give your renderer's time: --cost mine.toml "
-            "(docs/how-to/charge-your-renderer.md)"
+        reason += (
+            f"'{header.scene}' is not a scene that can be traced here; give your renderer's time: "
+            "--cost mine.toml (docs/how-to/charge-your-renderer.md)"
         )
         return Cost(math.nan, convention, reason, machine)
     try:
         sample_ms, tracer = _traced_here(header, machine, pool)
     except Exception as error:  # a missing scene or tracer is a reason, it does not stop a run
-        reason = (
-            f"rendered on '{header.device}', not here, and cannot be traced here: "
-            f"{type(error).__name__}: {error}"
-        )
+        reason += f"cannot be traced here: {type(error).__name__}: {error}"
         return Cost(math.nan, convention, reason, machine)
     return Cost(sample_ms, f"{convention}, {tracer}", note, _device(tracer, machine))
 
@@ -282,19 +278,11 @@ def with_gbuffer(cost: Cost, path_ms: float, header: Header) -> Cost:
     its time, it is charged as 0.
     """
     if not (header.gbuffer_ms > 0 and header.sample_ms > 0):
-        unknown = (
-            "not known, charged as 0: rlbench render --remeasure-sample-time measures it for "
-            "presets"
-        )
-        return replace(cost, gbuffer_convention=unknown)
+        return replace(cost, gbuffer_convention=UNKNOWN_GBUFFER)
     relative = header.gbuffer_ms / header.sample_ms
     convention = f"{relative:.3g} path samples, as measured on '{header.device}'"
-    known = path_ms * relative
-    return replace(
-        cost,
-        gbuffer_ms=known if math.isfinite(known) else 0.0,
-        gbuffer_convention=convention,
-    )
+    known = path_ms * relative if math.isfinite(path_ms) else 0.0
+    return replace(cost, gbuffer_ms=known, gbuffer_convention=convention)
 
 
 def _device(tracer: str, machine: str) -> str:
@@ -304,7 +292,7 @@ def _device(tracer: str, machine: str) -> str:
 
 def _spread_reason(header: Header) -> str:
     """Why the time of a sample in a header must not be believed; empty if it may."""
-    if header.sample_p95_ms <= MAX_SPREAD * header.sample_p5_ms:  # both are 0 in older clips
+    if header.sample_p95_ms <= MAX_SPREAD * header.sample_p5_ms:  # both are 0 where unknown
         return ""
     return (
         f"{UNRELIABLE} a sample took {header.sample_p5_ms:.3g} to {header.sample_p95_ms:.3g} ms "
@@ -316,34 +304,22 @@ def _spread_reason(header: Header) -> str:
 def _traced_here(header: Header, machine: str, pool: str) -> tuple[float, str]:
     """Milliseconds of a sample by this machine's tracer, from the cache or now, and the tracer."""
     scene = registry.load_plugin("scenes", header.scene)()
-    from rlbench.render.mitsuba.open_tracer import describe_tracer
+    from rlbench.render.jobs.extra_pools import pool_sample_ms
+    from rlbench.render.mitsuba.open_tracer import describe_tracer, sample_ms
 
     file, tracer = paths.cache_folder() / "sample_ms.json", describe_tracer()
     times = json.loads(file.read_text()) if file.is_file() else {}
-    size = f"{header.width}x{header.height}"
-    key = f"{header.scene} {size} {machine} {tracer} {_code(header.scene)}"
+    key = f"{header.scene} {header.width}x{header.height} {machine} {tracer} {_code(header.scene)}"
     key += f" {pool}" * (pool != "path")
     if key not in times:
-        times[key] = _trace(scene, header, pool)
+        size = scene, header.height, header.width
+        times[key] = float(sample_ms(*size) if pool == "path" else pool_sample_ms(*size, pool))
         with paths.atomic_write(file) as temporary:
             temporary.write_text(json.dumps(times, indent=1))
     return float(times[key]), tracer
 
 
 def _code(scene: str) -> str:
-    """Hash of the code of a scene and of the tracer; empty without such a scene."""
-    entry = registry.list_entries("scenes").get(scene)
-    if entry is None:
-        return ""
-    modules = code_hash.import_closure(entry.target.partition(":")[0])
-    return code_hash.code_hash(modules, core=["rlbench.render"])
-
-
-def _trace(scene: Any, header: Header, pool: str) -> float:
-    """Milliseconds of one sample per pixel of the scene, traced now."""
-    from rlbench.render.jobs.extra_pools import pool_sample_ms
-    from rlbench.render.mitsuba.open_tracer import sample_ms
-
-    if pool != "path":
-        return float(pool_sample_ms(scene, header.height, header.width, pool))
-    return float(sample_ms(scene, header.height, header.width))
+    """Hash of the code of a scene and of the tracer."""
+    target = registry.list_entries("scenes")[scene].target.partition(":")[0]
+    return code_hash.code_hash(code_hash.import_closure(target), core=["rlbench.render"])

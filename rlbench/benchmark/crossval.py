@@ -35,17 +35,13 @@ class Fold:
     clips: tuple[StoredSource, ...]
 
 
-def _no_progress_bar(plan: RunPlan) -> AbstractContextManager[ProgressCallbacks]:
-    return nullcontext(ProgressCallbacks())
-
-
 def crossval(
     folds: Sequence[Fold],
     runs: TrainingRuns,
     plan: RunPlan,
     results: Path,
     on_fold: Callable[[str], None] = lambda message: None,
-    progress_bar: ProgressBar = _no_progress_bar,
+    progress_bar: ProgressBar = lambda plan: nullcontext(ProgressCallbacks()),
 ) -> RunSummary:
     """Measure every method of `plan` on each fold's scene, with weights trained without it.
 

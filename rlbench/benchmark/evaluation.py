@@ -40,12 +40,10 @@ from rlbench.run import FrameResult
 from rlbench.system import code_hash, provenance
 from rlbench.system.folder_lock import locked_folder
 
-__all__ = [
-    "EvaluationSummary",
-    "evaluate",
-    "EvaluatedMetric",
-    "select_metrics",
-]
+__all__ = ["EvaluatedMetric", "EvaluationSummary", "evaluate", "select_metrics"]
+
+SCORING = ("rlbench.benchmark.evaluation", "rlbench.benchmark.scoring")  # images to numbers
+OF_RUNS = "srgb"  # the convention in which a run scores
 
 
 @dataclass(frozen=True)
@@ -85,7 +83,13 @@ def _evaluate(
     stored = results.cells(out)
     scored, cached, failures = 0, 0, []
     for kept in cells:
-        ids = {each: _cell_id(kept, each) for each in metrics}
+        ids = {
+            each: CellId(
+                replace(kept.cell.key, metric=each.name),
+                f"{kept.cell.content_hash}-{each.content_hash}",
+            )
+            for each in metrics
+        }
         due, current = [each for each in metrics if ids[each] not in stored], set(ids.values())
         cached += len(metrics) - len(due)
         for each, rows, reason in _score_cell(kept, due, _template(folder, kept.cell)):
@@ -98,11 +102,6 @@ def _evaluate(
             results.drop_cell(out, older)
         on_cell(kept)
     return EvaluationSummary(scored, cached, tuple(failures))
-
-
-def _cell_id(kept: KeptCell, each: EvaluatedMetric) -> CellId:
-    key = replace(kept.cell.key, metric=each.name)
-    return CellId(key, f"{kept.cell.content_hash}-{each.content_hash}")
 
 
 def _outdated(
@@ -183,10 +182,6 @@ def _compare_frames(
         yield result, compared
 
 
-SCORING = ("rlbench.benchmark.evaluation", "rlbench.benchmark.scoring")  # images to numbers
-OF_RUNS = "srgb"  # the convention in which a run scores
-
-
 class EvaluatedMetric(NamedTuple):
     """A metric under one convention, and a hash of what its scores depend on beside the images."""
 
@@ -221,17 +216,19 @@ def select_metrics(names: Iterable[str], conventions: Iterable[str] = ()) -> lis
 
 
 def _variants(metric: Any, conventions: Sequence[str]) -> list[Any]:
-    """The metric under each convention, if it takes one and there are any; else as it is."""
-    is_one = not conventions or not metric.takes_convention
-    return [metric] if is_one else [_under(metric, convention) for convention in conventions]
+    """The metric under each convention, if it takes one and there are any; else as it is.
 
-
-def _under(metric: Any, convention: str) -> Any:
-    """The metric under a convention; under that of runs it has its plain name."""
-    try:
-        return metric if convention == OF_RUNS else metric.under(convention)
-    except ValueError as error:
-        raise OptionError(f"--convention {convention}: {error}") from error
+    Under that of runs it has its plain name.
+    """
+    if not conventions or not metric.takes_convention:
+        return [metric]
+    variants = []
+    for convention in conventions:
+        try:
+            variants.append(metric if convention == OF_RUNS else metric.under(convention))
+        except ValueError as error:
+            raise OptionError(f"--convention {convention}: {error}") from error
+    return variants
 
 
 def _load(name: str) -> Any:

@@ -29,17 +29,13 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.image import AxesImage
 
-__all__ = [
-    "ImagesError",
-    "Sheet",
-    "frame_at",
-    "method_image",
-    "write_images",
-    "NONFINITE_COLOUR",
-    "LinearImage",
-    "MethodImage",
-    "draw_sheet",
-]
+__all__ = ["ImagesError", "LinearImage", "frame_at", "method_image", "write_images"]
+
+NONFINITE_COLOUR = (255, 0, 255)  # of NaN and infinite pixels, which a display would hide
+MAX_ERROR = 0.25  # end of the error scale: mean over channels, in units of display white
+DIFFERENCE_PERCENTILE = 98  # of the sizes of differences, at the ends of their scale
+PANEL_INCHES, TITLE_INCHES = 2.6, 0.25  # width of a panel, and height of the line above it
+DPI = 150
 
 
 class ImagesError(RlbenchError, ValueError):
@@ -172,13 +168,6 @@ def _save(stem: Path, image: LinearImage) -> None:
     planes = np.moveaxis(image.radiance.astype(np.float32), -1, 0)
     write_exr(stem.parent / f"{stem.name}.exr", dict(zip("RGB", planes, strict=True)))
     save_png(image.rgb8, stem.parent / f"{stem.name}.png")
-
-
-NONFINITE_COLOUR = (255, 0, 255)  # of NaN and infinite pixels, which a display would hide
-MAX_ERROR = 0.25  # end of the error scale: mean over channels, in units of display white
-DIFFERENCE_PERCENTILE = 98  # of the sizes of differences, at the ends of their scale
-PANEL_INCHES, TITLE_INCHES = 2.6, 0.25  # width of a panel, and height of the line above it
-DPI = 150
 
 
 @dataclass(frozen=True)

@@ -1,7 +1,10 @@
 """Times of methods on this device, measured together: what a frame's inference takes.
 
-`time_methods` runs all rows in interleaved rounds (`rlbench.benchmark.clock`) and summarises the
-frames of each. The parts of a row are averages over the same frames, so that they add up.
+`time_methods` runs all rows in interleaved rounds and summarises the frames of each: a row runs a
+few frames in turn, between calibrations, until its time is steady. A drift of the machine therefore
+meets all rows alike, and a busy phase is left out and repeated. Each row keeps one running clip, so
+that its frames have real states. The parts of a row are averages over the same frames, so that they
+add up.
 """
 
 from __future__ import annotations
@@ -19,7 +22,6 @@ from rlbench.benchmark.clock import (
     MIN_PROCESSOR_SHARE,
     Calibration,
     Calibrator,
-    Clock,
     FrameTime,
     Stopwatch,
     SystemClock,
@@ -35,29 +37,30 @@ from rlbench.system import provenance
 from rlbench.system.process_settings import keep_freed_memory
 
 __all__ = [
-    "PARTS",
-    "REPEATS",
+    "Limits",
     "PartTime",
     "TimedRow",
     "Timing",
     "device_name",
-    "time_methods",
-    "Limits",
-    "Session",
-    "Track",
-    "ACCEPTED",
-    "FLOOR_MS",
-    "LEVEL",
-    "TARGET",
     "half_width",
     "is_steady",
     "median_ranks",
     "middle_half",
-    "unreliable_reason",
+    "time_methods",
 ]
 
 REPEATS = 10  # timed frames of a row, at least
 PARTS = ("plan", "allocate", "denoise")  # of inference, in the order of a frame
+UNTIMED, TIMED = 1, 3  # frames of a row in each round
+MIN_ROUNDS = 3
+MAX_SECONDS = 20.0  # of one row, once it has `min_rounds`
+MAX_STRETCH_MS = 500.0  # between two calibrations, if a row's visit takes no longer
+WARM_UP = 2  # calibrations before the first that counts
+T = TypeVar("T")
+LEVEL = 0.95  # of the interval of the median
+TARGET = 0.02  # half width of the interval, relative to the median, at which measuring stops
+ACCEPTED = 0.05  # largest half width of a time that may be believed
+FLOOR_MS = 0.05  # a half width that is small enough for any time
 
 
 class TimedRow(NamedTuple):
@@ -130,7 +133,7 @@ def device_name(device: torch.device) -> str:
     return device.type
 
 
-def _frames(row: TimedRow, clock: Clock) -> Iterator[FrameTime]:
+def _frames(row: TimedRow, clock: SystemClock) -> Iterator[FrameTime]:
     """The times of one frame after another, without end."""
     stopwatch = Stopwatch(clock)
     method, read = TimedMethod(row.method, stopwatch), timed_reader(stopwatch)
@@ -180,13 +183,6 @@ def _describe_load(session: Session, visits: Sequence[Visit]) -> str:
     text += "a quiet moment"
     shares = [s for s in (each.processor_share for each in seen) if s < MIN_PROCESSOR_SHARE]
     return f"{text}, {min(shares):.0%} of the processor time it asked for" if shares else text
-
-
-UNTIMED, TIMED = 1, 3  # frames of a row in each round
-MIN_ROUNDS = 3
-MAX_SECONDS = 20.0  # of one row, once it has `min_rounds`
-MAX_STRETCH_MS = 500.0  # between two calibrations, if a row's visit takes no longer
-WARM_UP = 2  # calibrations before the first that counts
 
 
 class Limits(NamedTuple):
@@ -302,13 +298,6 @@ class Session:
 
     def _now(self) -> float:
         return self.calibrator.clock.wall_ms()
-
-
-T = TypeVar("T")
-LEVEL = 0.95  # of the interval of the median
-TARGET = 0.02  # half width of the interval, relative to the median, at which measuring stops
-ACCEPTED = 0.05  # largest half width of a time that may be believed
-FLOOR_MS = 0.05  # a half width that is small enough for any time
 
 
 def median_ranks(count: int, level: float = LEVEL) -> tuple[int, int] | None:

@@ -1,4 +1,8 @@
-"""What is installed, as plain data: for people as tables, for scripts as JSON."""
+"""What is installed, as plain data: for people as tables, for scripts as JSON, for pages as facts.
+
+torch is imported only where weights have a card. Scenes are built for `scene_facts` alone, which
+takes a few seconds, but not rendered.
+"""
 
 from __future__ import annotations
 
@@ -19,16 +23,23 @@ if TYPE_CHECKING:
     from rlbench.weights import ModelCard
 
 __all__ = [
-    "Listing",
-    "list_installed",
     "MethodFacts",
     "SceneFacts",
     "TakeFacts",
+    "list_installed",
     "method_facts",
     "scene_facts",
 ]
 
-Listing = dict[str, list[dict[str, Any]]]  # one list of rows a kind
+Row = dict[str, Any]
+Listing = dict[str, list[Row]]  # one list of rows a kind
+TAKE_FRAMES = 20  # of preset standard, which has all takes
+SKIES = {
+    "sunsky": "sun and sky",
+    "constant": "a sky of one colour",
+    "directional": "the sun, as a direction",
+    "envmap": "an environment map",
+}
 
 
 def list_installed(kind: str = "all") -> Listing:
@@ -44,7 +55,7 @@ def list_installed(kind: str = "all") -> Listing:
 
     Raises PluginError for an unknown kind.
     """
-    kinds: dict[str, Callable[[], list[dict[str, Any]]]] = {
+    kinds: dict[str, Callable[[], list[Row]]] = {
         "methods": _list_methods,
         "metrics": lambda: _list_plugins("metrics", ("unit", "direction", "convention")),
         "scenes": lambda: _find_plugins("scenes"),
@@ -59,19 +70,15 @@ def list_installed(kind: str = "all") -> Listing:
     return {name: rows() for name, rows in kinds.items() if kind in ("all", name)}
 
 
-def _list_methods() -> list[dict[str, Any]]:
+def _list_methods() -> list[Row]:
     rows = []
     for name, entry in registry.list_entries("methods").items():
         if error := registry.import_error("methods", name):
             rows.append({"name": name, "from": entry.origin, "broken": error})
             continue
         family = registry.load_family(name)
-        shared = {
-            "title": family.title,
-            "paper": family.paper,
-            "licence": family.licence,
-            "from": entry.origin,
-        }
+        shared = {name: getattr(family, name) for name in ("title", "paper", "licence")}
+        shared["from"] = entry.origin
         pairs = zip(family.method_names(), family.variants.values(), strict=True)
         rows += [{"name": method, **_describe(variant), **shared} for method, variant in pairs]
     return rows
@@ -100,11 +107,11 @@ def _describe_weights(variant: Variant) -> str:
     return f"shipped, by {variant.trained_by}" if variant.trained_by else "shipped"
 
 
-def _list_plugins(group: str, attributes: tuple[str, ...]) -> list[dict[str, Any]]:
+def _list_plugins(group: str, attributes: tuple[str, ...]) -> list[Row]:
     """Name, origin and some attributes of each plugin; the error of one that is broken."""
     rows = []
     for name, entry in registry.list_entries(group).items():
-        row: dict[str, Any] = {"name": name, "from": entry.origin}
+        row: Row = {"name": name, "from": entry.origin}
         if error := registry.import_error(group, name):
             row["broken"] = error
         else:
@@ -114,11 +121,11 @@ def _list_plugins(group: str, attributes: tuple[str, ...]) -> list[dict[str, Any
     return rows
 
 
-def _find_plugins(group: str) -> list[dict[str, Any]]:
+def _find_plugins(group: str) -> list[Row]:
     """Name and origin of each plugin, without importing it; the error of one without a module."""
     rows = []
     for name, entry in registry.list_entries(group).items():
-        row: dict[str, Any] = {"name": name, "from": entry.origin}
+        row: Row = {"name": name, "from": entry.origin}
         try:
             registry.module_file(entry.target)
         except registry.PluginError as error:
@@ -127,7 +134,7 @@ def _find_plugins(group: str) -> list[dict[str, Any]]:
     return rows
 
 
-def _list_presets() -> list[dict[str, Any]]:
+def _list_presets() -> list[Row]:
     from rlbench.render.presets import PRESETS
 
     return [
@@ -146,19 +153,10 @@ def _list_presets() -> list[dict[str, Any]]:
     ]
 
 
-def _list_profiles() -> list[dict[str, Any]]:
+def _list_profiles() -> list[Row]:
     measured = {"name": cost.MEASURED, "title": "this machine's path tracer"}
     profiles = [(name, cost.profile(name)) for name in cost.profiles()]
     return [measured, *({"name": n, "title": p.title, "source": p.source} for n, p in profiles)]
-
-
-TAKE_FRAMES = 20  # of preset standard, which has all takes
-SKIES = {
-    "sunsky": "sun and sky",
-    "constant": "a sky of one colour",
-    "directional": "the sun, as a direction",
-    "envmap": "an environment map",
-}
 
 
 @dataclass(frozen=True)
@@ -204,16 +202,8 @@ class SceneFacts:
 
 def method_facts() -> list[MethodFacts]:
     """All installed rows, in the order of their families; those that cannot be imported last."""
-    listed = list_installed("methods")["methods"]
-    facts = [_method_facts(row) for row in listed if "broken" not in row]
-    broken = [
-        MethodFacts(
-            row["name"], row["name"], "", "", "", "", False, "", None, Traits(), row["broken"]
-        )
-        for row in listed
-        if "broken" in row
-    ]
-    return [*facts, *broken]
+    facts = map(_method_facts, list_installed("methods")["methods"])
+    return sorted(facts, key=lambda each: bool(each.broken))
 
 
 def scene_facts() -> list[SceneFacts]:
@@ -229,7 +219,11 @@ def scene_facts() -> list[SceneFacts]:
 
 
 def _method_facts(row: Mapping[str, Any]) -> MethodFacts:
-    variant, name = registry.get_variant(row["name"]), str(row["name"])
+    name = str(row["name"])
+    if "broken" in row:
+        unknown = "", "", "", "", False, "", None
+        return MethodFacts(name, name, *unknown, Traits(), row["broken"])
+    variant = registry.get_variant(name)
     texts = {key: str(row[key]) for key in ("title", "question", "paper", "licence", "weights")}
     return MethodFacts(
         name=name,

@@ -1,6 +1,7 @@
 """The results table: one number a row, one parquet file a cell, so a killed run loses one cell.
 
-Reports read this module alone. `cell_file` reads, writes and checks the file of one cell.
+Reports read this module alone. The file of a cell has its identity and a checksum, which finds
+what parquet does not: a flipped bit in a number, in a name or in the identity.
 """
 
 from __future__ import annotations
@@ -24,27 +25,13 @@ if TYPE_CHECKING:
     import pyarrow as pa
 
 __all__ = [
-    "CLOCK_PREFIX",
     "COLUMNS",
-    "COUNT_PREFIX",
-    "DEFAULTS",
-    "EVENT_PREFIX",
-    "NOISE_CEILING",
-    "TWO_DEVICES",
-    "UNRELIABLE",
+    "DamagedFileError",
+    "MissingRowsError",
     "Row",
-    "TableError",
-    "arrow_schema",
-    "BF16",
-    "COMPILERS",
-    "CROSSVAL",
-    "RESERVED_LABELS",
-    "TILES",
     "RowName",
     "RowOptions",
-    "HELD_OUT_PREFIX",
-    "WHOLE_CLIP",
-    "MissingRowsError",
+    "TableError",
     "cells",
     "drop_cell",
     "read",
@@ -53,7 +40,6 @@ __all__ = [
     "set_aside_damaged",
     "to_dataframe",
     "write_cell",
-    "DamagedFileError",
 ]
 
 UNRELIABLE = "unreliable:"  # begins the note of a time that failed its test; the reason follows
@@ -62,10 +48,29 @@ EVENT_PREFIX = "event_"  # of rows that say what happens in a clip at their fram
 COUNT_PREFIX = "pixels_with_"  # of rows of a histogram: share of a clip's pixels with N samples
 NOISE_CEILING = "noise_ceiling"  # metric of rows of the clip: PSNR of its noise-free image, in dB
 CLOCK_PREFIX = "clock_"  # of metrics that say how a cell's times were measured
+WHOLE_CLIP = -1  # `frame` of a number that belongs to no single frame
+SUFFIX = ".parquet"
+DAMAGED = ".damaged"  # added to the name of a row file that cannot be read
+HELD_OUT_PREFIX = "without "  # in `weights_hash`, before the scene that a cross-validation held out
+BF16 = "bf16"  # label of rows whose networks ran in bfloat16
+COMPILERS = ("openvino", "compile")  # backends, labels of rows whose networks they ran
+TILES = "tiles"  # label of rows whose unchanged tiles were kept from the last image
+CROSSVAL = "crossval"  # label of rows whose weights were trained without the row's scene
+RESERVED_LABELS = (BF16, TILES, CROSSVAL, *COMPILERS)  # labels that no weights may have
+SCHEMA = 2  # of columns, names and metadata
+METADATA = b"rlbench"  # key of the JSON with the schema and the cell's identity
 
 
 class TableError(RlbenchError, ValueError):
     """Rows that cannot be stored or read, or a folder without results."""
+
+
+class MissingRowsError(TableError):
+    """A valid table without the rows that a report needs; `report all` continues without it."""
+
+
+class DamagedFileError(TableError):
+    """A row file that was cut short or changed after it was written."""
 
 
 @dataclass(frozen=True)
@@ -97,22 +102,6 @@ class Row:
 
 COLUMNS = tuple(field.name for field in fields(Row))
 DEFAULTS = {field.name: field.default for field in fields(Row) if field.default is not MISSING}
-_KINDS = {field.name: str(field.type) for field in fields(Row)}
-
-
-def arrow_schema() -> pa.Schema:
-    """The columns of the table and their types."""
-    import pyarrow as pa
-
-    kinds = {"str": pa.string(), "float": pa.float64(), "int": pa.int64()}
-    return pa.schema([pa.field(name, kinds[kind]) for name, kind in _KINDS.items()])
-
-
-BF16 = "bf16"  # label of rows whose networks ran in bfloat16
-COMPILERS = ("openvino", "compile")  # backends, labels of rows whose networks they ran
-TILES = "tiles"  # label of rows whose unchanged tiles were kept from the last image
-CROSSVAL = "crossval"  # label of rows whose weights were trained without the row's scene
-RESERVED_LABELS = (BF16, TILES, CROSSVAL, *COMPILERS)  # labels that no weights may have
 
 
 @dataclass(frozen=True)
@@ -171,26 +160,21 @@ class RowName:
         return f"{self.method}@{self.label}" if self.label else self.method
 
 
-WHOLE_CLIP = -1  # `frame` of a number that belongs to no single frame
-SUFFIX = ".parquet"
-DAMAGED = ".damaged"  # added to the name of a row file that cannot be read
-HELD_OUT_PREFIX = "without "  # in `weights_hash`, before the scene that a cross-validation held out
-
-
-class MissingRowsError(TableError):
-    """A valid table without the rows that a report needs; `report all` continues without it."""
-
-
 def write_cell(folder: Path, cell: CellId, rows: Sequence[Row]) -> Path:
     """Write all rows of a finished cell and return its file; the file appears whole or not at all.
 
     A second call with the same `cell` replaces the first. Raises TableError if there are no rows,
     or if a value is infinite, or nan without a note.
     """
+    import pyarrow.parquet as pq
+
     _check(cell, rows)
-    target = folder / f"{cell.file_stem}{SUFFIX}"
-    _write(target, cell, rows)
-    return target
+    file, table = folder / f"{cell.file_stem}{SUFFIX}", _to_arrow(rows)
+    identity = {"schema": SCHEMA, **asdict(cell), "checksum": _checksum(cell, table)}
+    table = table.replace_schema_metadata({METADATA: json.dumps(identity)})
+    with paths.atomic_write(file) as unfinished:
+        pq.write_table(table, unfinished)
+    return file
 
 
 def cells(folder: Path) -> set[CellId]:
@@ -248,9 +232,10 @@ def read_cell_rows(folder: Path, cell: CellId) -> list[Row]:
     stored = _read(folder / f"{cell.file_stem}{SUFFIX}")
     if stored is None:
         raise TableError(f"{folder} holds no cell '{cell.key}'; rlbench run measures it")
+    columns = [str(name) for name in stored[1].columns]
     return [
-        Row(**{str(key): value for key, value in row.items()})
-        for row in stored[1].to_dict("records")
+        Row(**dict(zip(columns, values, strict=True)))
+        for values in stored[1].itertuples(index=False, name=None)
     ]
 
 
@@ -267,12 +252,22 @@ def to_dataframe(rows: Sequence[Row]) -> pd.DataFrame:
     >>> to_dataframe([row])[["method", "metric", "value"]].values.tolist()
     [['mean', 'psnr', 20.0]]
     """
+    table: pd.DataFrame = _to_arrow(rows).to_pandas()
+    return table
+
+
+def _arrow_schema() -> pa.Schema:
+    """The columns of the table and their types."""
     import pyarrow as pa
 
-    table: pd.DataFrame = pa.Table.from_pylist(
-        [vars(row) for row in rows], schema=arrow_schema()
-    ).to_pandas()
-    return table
+    kinds = {"str": pa.string(), "float": pa.float64(), "int": pa.int64()}
+    return pa.schema([pa.field(each.name, kinds[str(each.type)]) for each in fields(Row)])
+
+
+def _to_arrow(rows: Sequence[Row]) -> pa.Table:
+    import pyarrow as pa
+
+    return pa.Table.from_pylist([vars(row) for row in rows], schema=_arrow_schema())
 
 
 def _check(cell: CellId, rows: Sequence[Row]) -> None:
@@ -308,14 +303,6 @@ def _content(folder: Path) -> str:
     return f"it holds {', '.join(files[:4])}{more}" if files else "the folder is empty"
 
 
-SCHEMA = 2  # of columns, names and metadata
-METADATA = b"rlbench"  # key of the JSON with the schema and the cell's identity
-
-
-class DamagedFileError(TableError):
-    """A row file that was cut short or changed after it was written."""
-
-
 @dataclass(frozen=True)
 class _Metadata:
     """What a file says of itself in the parquet metadata."""
@@ -327,52 +314,40 @@ class _Metadata:
     checksum: str  # of rows and identity
 
 
-def _write(file: Path, cell: CellId, rows: Sequence[Row]) -> None:
-    """Write the rows of a cell; the file appears complete or not at all."""
-    import pyarrow as pa
-    import pyarrow.parquet as pq
-
-    table = pa.Table.from_pylist([vars(row) for row in rows], schema=arrow_schema())
-    metadata = _Metadata(
-        SCHEMA, cell.key, cell.content_hash, cell.times_hash, _checksum(cell, table)
-    )
-    table = table.replace_schema_metadata({METADATA: json.dumps(asdict(metadata))})
-    with paths.atomic_write(file) as unfinished:
-        pq.write_table(table, unfinished)
-
-
 def _read_id(file: Path) -> CellId | None:
     """The cell in a file, whose rows are not read; None for parquet files of other content.
 
     Raises DamagedFileError, and TableError for a file that a newer version wrote.
     """
-    with _naming_damage(file) as content:
-        return _read_identity(file, _open(content).schema_arrow)[0]
+    with _naming_damage(file) as parquet:
+        return _read_identity(file, parquet.schema_arrow)[0]
 
 
 def _read(file: Path) -> tuple[CellId, pd.DataFrame] | None:
-    """The cell in a file and its rows, both checked; else as `read_id`. Columns as in `COLUMNS`."""
-    with _naming_damage(file) as content:
-        parquet = _open(content)
+    """The cell in a file and its rows, both checked; else as `_read_id`."""
+    with _naming_damage(file) as parquet:
         cell, checksum = _read_identity(file, parquet.schema_arrow)
         if cell is None:
             return None
         table = parquet.read()
         if checksum != _checksum(cell, table):
             raise ValueError("its rows do not have the checksum that was written with them")
-        rows: pd.DataFrame = table.select(COLUMNS).cast(arrow_schema()).to_pandas()
+        rows: pd.DataFrame = table.select(COLUMNS).cast(_arrow_schema()).to_pandas()
         return cell, rows
 
 
 @contextmanager
-def _naming_damage(file: Path) -> Iterator[bytes]:
-    """The content of a file; whatever goes wrong while it is decoded is a DamagedFileError."""
+def _naming_damage(file: Path) -> Iterator[Any]:
+    """The parquet file; whatever goes wrong while it is decoded is a DamagedFileError."""
+    import pyarrow as pa
+    import pyarrow.parquet as pq
+
     try:
         content = file.read_bytes()
     except OSError as error:
         raise TableError(f"{file} cannot be read: {error.strerror}. Check the folder") from error
     try:
-        yield content
+        yield pq.ParquetFile(pa.BufferReader(content))
     except TableError:
         raise
     except Exception as error:  # pyarrow raises a dozen types for damaged files
@@ -381,13 +356,6 @@ def _naming_damage(file: Path) -> Iterator[bytes]:
             f"{file} is damaged: {reason}. Repeat the rlbench run that wrote it, which sets the "
             "file aside and measures its cell again; or delete it"
         ) from error
-
-
-def _open(content: bytes) -> Any:
-    import pyarrow as pa
-    import pyarrow.parquet as pq
-
-    return pq.ParquetFile(pa.BufferReader(content))
 
 
 def _read_identity(file: Path, schema: pa.Schema) -> tuple[CellId | None, str]:

@@ -1,4 +1,7 @@
-"""What a run found, for people and for scripts: mean scores and times by row, and remarks."""
+"""What a run found, for people and for scripts: scores, times, remarks, and a verdict.
+
+A run ends here. The verdict says which cells failed, and which have images that are not finite.
+"""
 
 from __future__ import annotations
 
@@ -16,10 +19,12 @@ from rlbench.benchmark.runner import RunSummary
 if TYPE_CHECKING:
     import pandas as pd
 
-__all__ = ["RunOutcome", "ScoreRow", "read_outcome", "RunVerdict", "RunWarning", "judge_run"]
+__all__ = ["RunOutcome", "RunWarning", "judge_run", "read_outcome"]
 
 HEADLINE = ("psnr", "psnr_debiased")
 TIMES = ("inference_ms", "frame_ms")
+NONFINITE = "nonfinite"  # metric that counts pixels with a NaN or infinite channel
+MAX_NAMES = 3  # cells that a sentence names
 
 
 @dataclass(frozen=True)
@@ -123,10 +128,6 @@ def _number(value: float | None) -> float | None:
     return None if value is None or value != value else float(value)
 
 
-NONFINITE = "nonfinite"  # metric that counts pixels with a NaN or infinite channel
-MAX_NAMES = 3  # cells that a sentence names
-
-
 class RunWarning(UserWarning):
     """A run whose rows lack numbers that were requested; issued by `rlbench.run`."""
 
@@ -176,10 +177,11 @@ class RunVerdict:
             return "passed: no cell failed, all images are finite"
         faults = {
             "stopped by an error": self.failed,
-            "with images that are not finite": [each.cell for each in self.nonfinite],
+            "with images that are not finite": tuple(each.cell for each in self.nonfinite),
         }
-        parts = [f"{_count(cells)} {what} ({_names(cells)})" for what, cells in faults.items()]
-        parts = [part for part, cells in zip(parts, faults.values(), strict=True) if cells]
+        parts = [
+            f"{_count(cells)} {what} ({_names(cells)})" for what, cells in faults.items() if cells
+        ]
         return f"FAILED: {'; '.join(parts) or 'no cell has a number'}"
 
 
@@ -198,7 +200,7 @@ def judge_run(summary: RunSummary, rows: pd.DataFrame) -> RunVerdict:
 
 
 def _pixels(size: str) -> int:
-    """The number of pixels of a size such as 192x192; 0 for the empty one of older results."""
+    """The number of pixels of a size such as 192x192; 0 for an empty one."""
     return math.prod(map(int, size.split("x"))) if size else 0
 
 

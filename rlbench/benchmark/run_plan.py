@@ -16,7 +16,7 @@ import torch
 from rlbench import registry
 from rlbench.backends import EAGER, use_backend
 from rlbench.benchmark.cell_key import CellKey, CellsError
-from rlbench.benchmark.clip_sources import FirstFrames, Source
+from rlbench.benchmark.clip_sources import FirstFrames, StoredSource
 from rlbench.benchmark.cost import MEASURED
 from rlbench.benchmark.latency import REPEATS, device_name
 from rlbench.benchmark.results import BF16, CROSSVAL, RESERVED_LABELS, TILES, RowName
@@ -30,15 +30,7 @@ from rlbench.system.bfloat16 import require_native_bf16
 from rlbench.weights import training_clips
 from rlbench.wrappers import HalfPrecision, SkipTiles
 
-__all__ = [
-    "DEFAULT_SPP",
-    "Cell",
-    "CellLoader",
-    "RunPlan",
-    "list_cells",
-    "row_name",
-    "weights_file",
-]
+__all__ = ["Cell", "CellLoader", "RunPlan", "list_cells", "row_name", "weights_file"]
 
 DEFAULT_SPP = (0.5, 1.0, 2.0, 4.0)  # budgets, samples per pixel
 
@@ -50,7 +42,7 @@ class RunPlan:
     """Methods x clips x budgets x seeds to measure on one device."""
 
     methods: tuple[str, ...]  # family or family/variant
-    clips: tuple[Source, ...]
+    clips: tuple[StoredSource, ...]
     spp: tuple[float, ...] = DEFAULT_SPP  # budgets, samples per pixel
     seeds: tuple[int, ...] = (0,)  # of the sample order and of rounding
     device: torch.device = field(default_factory=lambda: torch.device("cpu"))
@@ -79,7 +71,7 @@ class Cell:
     """One method on one clip at one budget with one seed, with what decides its images."""
 
     key: CellKey  # row name, clip, budget, seed and device
-    clip: Source
+    clip: StoredSource
     method: str  # family or family/variant
     variant: Variant
     bf16: bool  # do its networks run in bfloat16?

@@ -64,17 +64,7 @@ from rlbench.training.dataset import QUICK_PREFIX, QUICK_REMARK
 if TYPE_CHECKING:
     import pandas as pd
 
-__all__ = [
-    "CellCallback",
-    "CellOutput",
-    "CellRunner",
-    "CellStore",
-    "ProgressCallbacks",
-    "RunSummary",
-    "check_times_alone",
-    "measure",
-    "read_cells",
-]
+__all__ = ["ProgressCallbacks", "RunSummary", "check_times_alone", "measure", "read_cells"]
 
 CellCallback = Callable[[Cell], None]
 

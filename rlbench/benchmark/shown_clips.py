@@ -1,4 +1,4 @@
-"""What a page shows of each clip: reference, G-buffer, and the kept images of all methods."""
+"""What a page or a video shows of clips: reference, G-buffer, and the kept images of methods."""
 
 from __future__ import annotations
 
@@ -22,15 +22,7 @@ from rlbench.frames import BUFFERS
 if TYPE_CHECKING:
     import pandas as pd
 
-__all__ = [
-    "ShownClip",
-    "ShownClips",
-    "ShownImages",
-    "find_shown_clips",
-    "DisplayClip",
-    "DisplayImages",
-    "display_clips",
-]
+__all__ = ["DisplayClip", "ShownClip", "ShownClips", "display_clips", "find_shown_clips"]
 
 
 @dataclass(frozen=True)

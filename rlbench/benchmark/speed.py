@@ -25,7 +25,7 @@ from torch.utils.flop_counter import FlopCounterMode
 from rlbench import registry
 from rlbench.backends import EAGER, use_backend
 from rlbench.benchmark.clock import SystemClock
-from rlbench.benchmark.latency import REPEATS, TimedRow, Timing, device_name, time_methods
+from rlbench.benchmark.latency import PARTS, REPEATS, TimedRow, Timing, device_name, time_methods
 from rlbench.benchmark.results import UNRELIABLE
 from rlbench.checks.returns import CheckedReturns
 from rlbench.checks.tensors import iterate_parts, iterate_tensors
@@ -38,18 +38,13 @@ from rlbench.run import run_clip
 from rlbench.wrappers import HalfPrecision, MethodWrapper
 
 __all__ = [
-    "COLUMNS",
     "Configuration",
+    "count_multiply_adds",
     "failed_rows",
+    "generated_clip",
     "measure_speed",
     "speed_page",
     "write_speed",
-    "SPP",
-    "count_multiply_adds",
-    "count_parameters",
-    "generated_clip",
-    "peak_memory",
-    "state_bytes",
 ]
 
 PEAK_SIDE, PEAK_RUNS = 2048, 5  # of the matrix product that stands for the machine's peak
@@ -71,6 +66,23 @@ COLUMNS = {
 }
 
 PixelSize = tuple[int, int]  # height, width
+_Counts = dict[str, float]  # columns that need no clock
+SHOWN = {
+    "method": "method",
+    "plan_ms": "plan, ms",
+    "allocate_ms": "allocate",
+    "denoise_ms": "denoise",
+    "inference_ms": "inference",
+    "inference_p95_ms": "p95",
+    "parameters": "thousand parameters",
+    "multiply_adds": "thousand multiply-adds / pixel",
+    "peak_share": "share of peak",
+    "state_bytes": "bytes of state / pixel",
+    "memory_mb": "memory, MiB",
+}
+DECIMALS = {"parameters": 0, "multiply_adds": 1, "state_bytes": 0, "memory_mb": 0, "peak_share": 2}
+FRAMES, SPP = 4, 1.0  # of the generated clip
+COUNTED_SIDE = 96  # pixels, of the frame whose multiply-adds are counted; a multiple of 32
 
 
 @dataclass(frozen=True)
@@ -84,10 +96,8 @@ class Configuration:
     @property
     def row_name(self) -> str:
         """The name as in the results."""
-        label = "-".join(
-            ([self.backend] if self.backend != EAGER else []) + (["bf16"] if self.bf16 else [])
-        )
-        return f"{self.method}@{label}" if label else self.method
+        parts = [self.backend] * (self.backend != EAGER) + ["bf16"] * self.bf16
+        return "@".join(filter(None, (self.method, "-".join(parts))))
 
     def load(self, device: torch.device) -> Method:
         """The method with its shipped weights, or random ones: they change no time."""
@@ -141,39 +151,30 @@ def failed_rows(table: pd.DataFrame) -> dict[str, str]:
     return dict(zip(failed["method"], failed["note"], strict=True))
 
 
-class _Work(NamedTuple):
-    """What the networks of a method hold and compute."""
-
-    parameters: int
-    multiply_adds: float  # per pixel
-
-
 class _Loaded(NamedTuple):
     """A row that can be timed, and its columns that need no clock."""
 
     row: TimedRow
-    counted: dict[str, float]
+    counted: _Counts
 
 
-def _count_work(device: torch.device, name: str, on_progress: ProgressCallback) -> _Work:
+def _count_work(device: torch.device, name: str, on_progress: ProgressCallback) -> _Counts:
+    """Thousands of parameters, and of multiply-adds per pixel."""
     method = Configuration(name).load(device)
-    return _Work(count_parameters(method), count_multiply_adds(method, device))
+    multiply_adds = count_multiply_adds(method, device)
+    return {"parameters": count_parameters(method) / 1e3, "multiply_adds": multiply_adds / 1e3}
 
 
 def _load(
     clip: InMemoryClip,
-    work: Mapping[str, JobResult[str, _Work]],
+    work: Mapping[str, JobResult[str, _Counts]],
     device: torch.device,
     configuration: Configuration,
     on_progress: ProgressCallback,
 ) -> _Loaded:
-    done = work[configuration.method].result()
+    counted = dict(work[configuration.method].result())
     row = TimedRow(configuration.load(device), clip, SPP)
-    counted = {
-        "parameters": done.parameters / 1e3,
-        "multiply_adds": done.multiply_adds / 1e3,
-        "state_bytes": state_bytes(row.method, clip) / (clip.size.h * clip.size.w),
-    }
+    counted["state_bytes"] = state_bytes(row.method, clip) / (clip.size.h * clip.size.w)
     if configuration.backend == EAGER and device.type == "cpu":
         counted["memory_mb"] = peak_memory(row.method, clip) / 2**20
     return _Loaded(row, counted)
@@ -207,29 +208,10 @@ def peak_throughput(device: torch.device, bf16: bool) -> float:
 
 def _times(timing: Timing) -> dict[str, object]:
     return {
-        "plan_ms": timing.plan.mean,
-        "allocate_ms": timing.allocate.mean,
-        "denoise_ms": timing.denoise.mean,
-        "inference_ms": timing.inference.mean,
+        **{f"{name}_ms": getattr(timing, name).mean for name in (*PARTS, "inference")},
         "inference_p95_ms": timing.inference.p95,
         "note": f"{UNRELIABLE} {timing.unreliable}" if timing.unreliable else "",
     }
-
-
-SHOWN = {
-    "method": "method",
-    "plan_ms": "plan, ms",
-    "allocate_ms": "allocate",
-    "denoise_ms": "denoise",
-    "inference_ms": "inference",
-    "inference_p95_ms": "p95",
-    "parameters": "thousand parameters",
-    "multiply_adds": "thousand multiply-adds / pixel",
-    "peak_share": "share of peak",
-    "state_bytes": "bytes of state / pixel",
-    "memory_mb": "memory, MiB",
-}
-DECIMALS = {"parameters": 0, "multiply_adds": 1, "state_bytes": 0, "memory_mb": 0, "peak_share": 2}
 
 
 def write_speed(table: pd.DataFrame, device: torch.device, out: Path) -> list[Path]:
@@ -249,34 +231,22 @@ def speed_page(table: pd.DataFrame, device: str) -> str:
         f"One frame at 1 spp, generated, on {device}. {legend}.",
     ]
     for (height, width), rows in table.groupby(["height", "width"], sort=False):
-        parts += [f"## {width} x {height}", _table(rows), *_notes(rows)]
+        parts += [f"## {width} x {height}", *_lines(rows)]
     return "\n\n".join(parts) + "\n"
 
 
-def _table(rows: pd.DataFrame) -> str:
-    lines = [_line(list(SHOWN.values())), _line(["---", *["---:"] * (len(SHOWN) - 1)])]
+def _lines(rows: pd.DataFrame) -> list[str]:
+    table = [list(SHOWN.values()), ["---", *["---:"] * (len(SHOWN) - 1)]]
     for _, row in rows.iterrows():
-        mark = "?" if row["note"] else ""
         numbers = [_format(name, row[name]) for name in list(SHOWN)[1:]]
-        lines.append(_line([f"`{row['method']}`{mark}", *numbers]))
-    return "\n".join(lines)
-
-
-def _line(cells: Sequence[str]) -> str:
-    return f"| {' | '.join(cells)} |"
+        table.append([f"`{row['method']}`{'?' * bool(row['note'])}", *numbers])
+    noted = rows[rows["note"] != ""]
+    notes = [f"? `{row['method']}`: {row['note']}" for _, row in noted.iterrows()]
+    return ["\n".join(f"| {' | '.join(cells)} |" for cells in table), *notes]
 
 
 def _format(name: str, value: float) -> str:
     return "" if pd.isna(value) else f"{value:.{DECIMALS.get(name, 1)}f}"
-
-
-def _notes(rows: pd.DataFrame) -> list[str]:
-    noted = rows[rows["note"] != ""]
-    return [f"? `{row['method']}`: {row['note']}" for _, row in noted.iterrows()]
-
-
-FRAMES, SPP = 4, 1.0  # of the generated clip
-COUNTED_SIDE = 96  # pixels, of the frame whose multiply-adds are counted; a multiple of 32
 
 
 def generated_clip(size: tuple[int, int], device: torch.device) -> InMemoryClip:

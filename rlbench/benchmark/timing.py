@@ -27,19 +27,13 @@ from rlbench.benchmark.cost import FULL_FRAME, Cost, CostProfile, ProfileTime, S
 from rlbench.benchmark.latency import PARTS, TimedRow, Timing
 from rlbench.benchmark.results import CLOCK_PREFIX, TWO_DEVICES, UNRELIABLE, Row
 from rlbench.benchmark.run_plan import Cell, CellLoader
+from rlbench.benchmark.scoring import with_value
 from rlbench.parallel.executor import Executor, JobResult, ProgressCallback, Resources
 from rlbench.render.jobs.live_pool import open_wavefronts, scene_of_folder
 from rlbench.run import run_clip
 from rlbench.system import provenance
 
-__all__ = [
-    "failed_time_rows",
-    "timing_rows",
-    "drop_times",
-    "TimingCache",
-    "TimingCallback",
-    "ScatterMeter",
-]
+__all__ = ["ScatterMeter", "TimingCache", "drop_times", "failed_time_rows", "timing_rows"]
 
 MAX_ROWS = 48  # timed in one session: the state of each is in memory
 FRAMES = 3  # of the clip, so that a temporal method has a history; the last one's counts are traced
@@ -299,15 +293,15 @@ def timing_rows(
     spent = f"{cost.convention}{factor}", sample_note or cost.scatter.note
     return [
         *(
-            _with_value(row, f"{name}_ms", ms, convention, note)
+            with_value(row, f"{name}_ms", ms, convention, note)
             for name, ms in {**parts, "inference": inference}.items()
         ),
         *_percentile_rows(row, timing),
         *_clock_rows(template, timing),
-        _with_value(row, "gbuffer_ms", cost.gbuffer_ms, cost.gbuffer_convention),
-        _with_value(row, "sample_ms", cost.sample_ms, cost.convention, cost.note),
-        _with_value(row, "sampling_ms", sampling, *spent),
-        _with_value(row, "frame_ms", cost.gbuffer_ms + inference + sampling, source, frame_note),
+        with_value(row, "gbuffer_ms", cost.gbuffer_ms, cost.gbuffer_convention),
+        with_value(row, "sample_ms", cost.sample_ms, cost.convention, cost.note),
+        with_value(row, "sampling_ms", sampling, *spent),
+        with_value(row, "frame_ms", cost.gbuffer_ms + inference + sampling, source, frame_note),
     ]
 
 
@@ -315,7 +309,7 @@ def failed_time_rows(template: Row, reason: str) -> list[Row]:
     """The rows of a cell whose times an error prevented."""
     row = replace(template, unit="ms", direction="lower")
     names = (*PARTS, "inference", "sampling", "frame")
-    return [_with_value(row, f"{name}_ms", math.nan, "not measured", reason) for name in names]
+    return [with_value(row, f"{name}_ms", math.nan, "not measured", reason) for name in names]
 
 
 def drop_times(rows: Sequence[Row]) -> list[Row]:
@@ -358,8 +352,8 @@ def _percentile_rows(row: Row, timing: Timing) -> Iterator[Row]:
         excluded = "; not part of frame_ms" * is_fetch
         remark = "" if is_fetch else note
         p50 = "sample_fetch_ms" if is_fetch else f"{name}_p50_ms"
-        yield _with_value(row, p50, time.p50, f"median of {frames}{excluded}", remark)
-        yield _with_value(row, f"{name}_p95_ms", time.p95, f"p95 of {frames}{excluded}", remark)
+        yield with_value(row, p50, time.p50, f"median of {frames}{excluded}", remark)
+        yield with_value(row, f"{name}_p95_ms", time.p95, f"p95 of {frames}{excluded}", remark)
 
 
 def _clock_rows(template: Row, timing: Timing) -> Iterator[Row]:
@@ -376,15 +370,8 @@ def _clock_rows(template: Row, timing: Timing) -> Iterator[Row]:
     }
     for name, (value, convention) in numbers.items():
         if math.isfinite(value):
-            yield _with_value(template, f"{CLOCK_PREFIX}{name}", float(value), convention)
+            yield with_value(template, f"{CLOCK_PREFIX}{name}", float(value), convention)
 
 
 def _describe_frames(timing: Timing) -> str:
     return f"{timing.frames} frames of {timing.clip} in {timing.rounds} rounds"
-
-
-def _with_value(row: Row, metric: str, value: float, convention: str, note: str = "") -> Row:
-    """The row with a number; a value that is not finite becomes nan with a note."""
-    if not math.isfinite(value):
-        note, value = note or f"the value is {value}", math.nan
-    return replace(row, metric=metric, value=value, convention=convention, note=note)

@@ -146,7 +146,7 @@ def lint(
         _write_guess(clips, layout)
         return
     from rlbench.checks.lint.checks import lint_clips
-    from rlbench.clips.clip_folders import find_all_clips
+    from rlbench.clips.stored import find_all_clips
 
     folders = find_all_clips(clips)
     output = ChecksOutput() if as_json else None

@@ -88,7 +88,7 @@ def train(
         return
     load_plugins(plugin)
     names = arguments.trainable_methods(methods or ["all"])  # before torch
-    from rlbench.parallel.time_limit import TimeLimit, TimeLimitedExecutor
+    from rlbench.parallel.executor import TimeLimit, TimeLimitedExecutor
     from rlbench.system.paths import check_writable
     from rlbench.training import dataset
     from rlbench.training.logger import tensorboard_hint

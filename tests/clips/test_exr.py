@@ -13,8 +13,7 @@ import numpy as np
 import OpenEXR
 import pytest
 
-from rlbench.clips.exr import read_exr, write_exr
-from rlbench.clips.exr_header import ExrHeaderError, read_exr_header, read_exr_parts
+from rlbench.clips.exr import ExrHeaderError, read_exr, read_exr_header, read_exr_parts, write_exr
 from rlbench.clips.header import ClipError
 from rlbench.system import paths
 

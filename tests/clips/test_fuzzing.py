@@ -27,8 +27,7 @@ from hypothesis import strategies as st
 
 from rlbench.clips import ClipError, read_header, verify, write_header
 from rlbench.clips.exr import read_exr, write_exr
-from rlbench.clips.header import FILE
-from rlbench.clips.header_limits import LIMITS, is_plain_name
+from rlbench.clips.header import FILE, LIMITS, is_plain_name
 from rlbench.clips.importers import formats, writer
 from rlbench.clips.importers.image_files import Channels, read_exr_image
 from rlbench.clips.importers.sequence import SourceError

@@ -17,8 +17,7 @@ from rlbench.benchmark.clip_sources import StoredSource
 from rlbench.benchmark.run_plan import RunPlan
 from rlbench.benchmark.runner import RunSummary, measure
 from rlbench.parallel.executor import LOCAL, ExecutorError, Resources
-from rlbench.parallel.ray_executor import RayExecutor, open_executor
-from rlbench.parallel.worker import WorkerEnvironment
+from rlbench.parallel.ray_executor import RayExecutor, WorkerEnvironment, open_executor
 from rlbench.registry import METHODS_VARIABLE, list_plugins, use_plugin
 from rlbench.render.jobs.job import Job
 from rlbench.render.jobs.render_clips import render_missing

@@ -1,8 +1,11 @@
-"""Scenes and their takes."""
+"""Scenes as data: takes and light changes; poses, rays and projections."""
 
 import numpy as np
 
-from tests.render.small_scenes import OTHER_CAMERA, room_with_takes
+from rlbench.render.scene import Pose
+from tests.render.small_scenes import OTHER_CAMERA, room, room_with_takes
+
+H, W = 48, 64
 
 
 def test_a_take_changes_only_what_it_defines():
@@ -29,3 +32,10 @@ def test_light_changes_are_the_frames_whose_lights_differ_from_the_frame_before(
     assert take.light_changes(3) == ()
     assert take.light_changes(8) == (3,)
     assert room_with_takes().light_changes(8) == ()
+
+
+def test_projection_undoes_directions():
+    pose = Pose.at_time(room(), 2.0)
+    film = np.random.default_rng(0).uniform(0, [W, H], (100, 2))
+    rays = np.column_stack([pose.ray_directions(film, H, W), np.zeros(100)])
+    np.testing.assert_allclose(pose.project(rays, H, W)[0], film, atol=1e-9)

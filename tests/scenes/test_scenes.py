@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 
 from rlbench.render.scene import Scene
-from rlbench.scenes.parts.primitives import icosphere
+from rlbench.scenes.parts.shapes import icosphere
 
 NAMES = ("city", "temple", "hall", "ripples")
 TIMES = (-1.0, 0.0, 0.5, 7.0, 40.0)

@@ -1,4 +1,9 @@
-"""The regression check: PSNR per method, scene and budget against a baseline."""
+"""The regression check: PSNR per method, scene and budget against a baseline, and gates of speed.
+
+A gate is the largest ratio of two rows' inference times. A time belongs to a machine, the ratio of
+two much less so. Both rows run in the same interleaved rounds (`rlbench.benchmark.latency`) on
+generated frames, so that a drift of the machine meets both.
+"""
 
 from __future__ import annotations
 
@@ -29,14 +34,11 @@ if TYPE_CHECKING:
     from rlbench.benchmark.speed import Configuration
 
 __all__ = [
-    "FAILING",
     "BaselineDiff",
     "RegressionReport",
-    "compare",
-    "unreliable_times",
-    "SLOWER",
     "SpeedGate",
     "SpeedResult",
+    "compare",
     "judge",
     "measure_gates",
     "parse_gate",
@@ -46,6 +48,9 @@ SHOWN_DB = 0.01  # a fall by this much is shown, even where it is allowed
 FAILING = ("worse", "missing")
 SHOWN = (*FAILING, "lower", "better", "new")  # in this order
 COLUMNS = ("", "method", "scene", "spp", "baseline", "+-", "measured", "change", "allowed")
+SLOWER, WITHIN, NOT_RESOLVED, UNDECIDED = "slower", "within", "not resolved", "undecided"
+REPEATS = 30  # timed frames of a row, at least
+SIZE = (192, 192)  # pixels, height and width of the generated frames; that of preset mini
 
 
 @dataclass(frozen=True)
@@ -213,11 +218,6 @@ def _aligned(lines: list[tuple[str, ...]]) -> list[str]:
     widths = [max(map(len, column)) for column in zip(*lines, strict=True)]
     formats = [f"{'<' if column < 3 else '>'}{width}" for column, width in enumerate(widths)]
     return ["  ".join(map(format, line, formats)) for line in lines]
-
-
-SLOWER, WITHIN, NOT_RESOLVED, UNDECIDED = "slower", "within", "not resolved", "undecided"
-REPEATS = 30  # timed frames of a row, at least
-SIZE = (192, 192)  # pixels, height and width of the generated frames; that of preset mini
 
 
 @dataclass(frozen=True)

@@ -1,4 +1,8 @@
-"""The regression check as Markdown, for pull requests: result, lines that differ, and crops."""
+"""The regression check as Markdown, for pull requests, and as JUnit XML, for servers.
+
+The elements and attributes of the XML are those of the schema of Ant's JUnit reports (Windy Road,
+JUnit.xsd), the strictest in use; servers that expect less read them too.
+"""
 
 from __future__ import annotations
 
@@ -20,9 +24,12 @@ from rlbench.benchmark.regression.comparison import (
 from rlbench.benchmark.regression.crops import Crops
 from rlbench.system import paths
 
-__all__ = ["append_to_job_summary", "markdown", "write_summary", "write_junit"]
+__all__ = ["append_to_job_summary", "markdown", "write_junit", "write_summary"]
 
 JOB_SUMMARY = "GITHUB_STEP_SUMMARY"  # a file whose Markdown GitHub shows with a job
+SUITE = "rlbench.regress"
+UNCOMPARED = ("new", "skipped")
+UNPRINTABLE = re.compile(r"[^\t\n\r\x20-\ud7ff\ue000-\ufffd\U00010000-\U0010ffff]")  # in XML 1.0
 
 
 def markdown(report: RegressionReport, crops: Crops | str = "", images: str = "") -> str:
@@ -78,11 +85,6 @@ def _crop_table(crops: Crops, images: str) -> str:
 
 def _escape(text: str) -> str:
     return text.replace("|", "\\|")
-
-
-SUITE = "rlbench.regress"
-UNCOMPARED = ("new", "skipped")
-UNPRINTABLE = re.compile(r"[^\t\n\r\x20-\ud7ff\ue000-\ufffd\U00010000-\U0010ffff]")  # in XML 1.0
 
 
 def write_junit(report: RegressionReport, file: Path, when: datetime | None = None) -> None:

@@ -41,9 +41,10 @@ def decode_curve(image: Pixels, encoding: str) -> Pixels:
 
 
 def convert_albedo(stored: Pixels, albedo: Albedo) -> Pixels:
-    """Linear albedo in [0, 1], clipped. NaN becomes 0."""
+    """Linear albedo in [0, 1], clipped. A pixel with a value that is not finite becomes 0."""
     linear = decode_curve(stored, albedo.encoding) * albedo.scale
-    return np.asarray(np.clip(np.nan_to_num(linear), 0, 1))
+    is_finite = np.isfinite(linear).all(-1, keepdims=True)
+    return np.asarray(np.where(is_finite, np.clip(linear, 0, 1), 0))
 
 
 def convert_normal(stored: Pixels, normal: Normal, rotation: Float[Array, "3 3"] | None) -> Pixels:

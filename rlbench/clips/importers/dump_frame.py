@@ -116,19 +116,14 @@ def read_frame(
         _modulate(decode_curve(image, layout.reference.encoding), layout.reference, gbuffer)
         for image in reader.read_all("reference", 2)
     ]
-    if "depth" in gbuffer:  # what a sky has in place of a normal or of motion is no damage
-        surface = np.isfinite(gbuffer["depth"]) | reader.broken.get("depth", False)
-        for name, mask in reader.broken.items():
-            reader.broken[name] = np.asarray(mask & surface)
-    files = {name: reader.files.images[name] for name in ("radiance", "reference")}
     return ImportedFrame(
         gbuffer=gbuffer,
         pool=pool,
         half_a=halves[0],
         half_b=halves[len(halves) == 2],
-        broken=reader.broken,
+        broken=reader.broken_surfaces(gbuffer.get("depth")),
         empty=reader.empty,
-        files=files,
+        files=reader.nonfinite_files,
         counts=reader.counts,
     )
 
@@ -143,6 +138,7 @@ class _Reader:
     counts: Counter[str] = field(default_factory=Counter)
     broken: dict[str, NDArray[np.bool_]] = field(default_factory=dict)
     empty: dict[str, NDArray[np.bool_]] = field(default_factory=dict)
+    nonfinite_files: dict[str, Path] = field(default_factory=dict)
 
     def read_all(self, name: str, most: int) -> list[Pixels]:
         """The first images of a kind; empty where there is none. Raises SourceError."""
@@ -153,11 +149,20 @@ class _Reader:
         """A buffer, or None where there is none. Raises SourceError."""
         for stored in self.read_all(name, 1):
             is_broken = np.isnan if name == "depth" else lambda values: ~np.isfinite(values)
-            mask = is_broken(stored).any(-1, keepdims=True)
+            mask = np.asarray(is_broken(stored).any(-1, keepdims=True))
             if mask.any() and not (name == "motion" and _is_onward(self.layout)):
                 self.broken[name] = mask
             return stored
         return None
+
+    def broken_surfaces(self, depth: Pixels | None) -> dict[str, NDArray[np.bool_]]:
+        """Where surfaces are broken: what a sky has in place of a normal or of motion is not."""
+        if depth is None:
+            return self.broken
+        surface = np.isfinite(depth)
+        if "depth" in self.broken:
+            surface |= self.broken["depth"]
+        return {name: np.asarray(mask & surface) for name, mask in self.broken.items()}
 
     def _read(self, name: str, path: Path, channels: Channels) -> Pixels:
         image = self.layout.images[name]
@@ -165,6 +170,8 @@ class _Reader:
         fill = {"depth": np.inf, "motion": getattr(image, "offset", 0)}.get(name, 0)
         pixels, empty, cut = read_exr_image(path, channels, fill)
         limits.check_same_size(path, pixels.shape[:2], self.size)
+        if not np.isfinite(pixels).all():
+            self.nonfinite_files.setdefault(name, path)
         for kind, count in (("empty", int(empty.sum())), ("cut", cut)):
             self.counts[f"{kind} pixels"] += count
             self.counts[f"{kind} images"] += count > 0

@@ -12,8 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import Image
 
-from rlbench.clips.exr import read_planes
-from rlbench.clips.exr_header import DeepImageError, ExrHeader, read_exr_parts
+from rlbench.clips.exr import DeepImageError, ExrHeader, read_exr_parts, read_planes
 from rlbench.clips.importers.limits import check_size
 from rlbench.clips.importers.sequence import Pixels, SourceError
 

@@ -6,7 +6,7 @@ import os
 from pathlib import Path
 from typing import NoReturn
 
-from rlbench.clips.header_limits import MAX_PIXELS
+from rlbench.clips.header import MAX_PIXELS
 from rlbench.clips.importers.sequence import SourceError
 
 MAX_FILES = 1_000_000  # at and below one source folder

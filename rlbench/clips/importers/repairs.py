@@ -17,6 +17,8 @@ from rlbench.ops.sanitize import RULES, sanitize_radiance
 
 __all__ = ["Findings", "check_finite", "repair_frame"]
 
+ADDED = ("specular", "emission", "albedo")  # what radiance is made of, too
+
 
 @dataclass
 class Findings:
@@ -48,8 +50,9 @@ class Findings:
         for kind, count in found.items():
             verb, _, name = kind.partition(" ")
             if verb == "broken":
+                instead = "point outside the image" if name == "motion" else "became background"
                 lines.append(
-                    f"{count} pixels of {name} are NaN or infinite, and became background, "
+                    f"{count} pixels of {name} are NaN or infinite, and {instead}, "
                     f"{self.places[kind]}; --sanitize takes the {name} of a neighbour"
                 )
             elif verb == "repaired":
@@ -67,8 +70,8 @@ def check_finite(clip: str, number: int, frame: ImportedFrame) -> None:
         if not mask.any():
             continue
         row, column = np.argwhere(mask)[0][:2]
-        files = frame.files.get(name, ())
-        where = f"{files[min(slot, len(files) - 1)]}: " if files else ""
+        sources = (name, *ADDED) if name == "radiance" else (name, "albedo")
+        where = next((f"{frame.files[each]}: " for each in sources if each in frame.files), "")
         label = f"sample {slot}" if name == "radiance" else name
         raise SourceError(
             f"{where}{int(mask.sum())} values of {label} in frame {number} of clip '{clip}' are "

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import NamedTuple
@@ -11,7 +11,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from rlbench.clips.header_limits import LIMITS, is_plain_name
+from rlbench.clips.header import LIMITS, is_plain_name
 from rlbench.errors import RlbenchError
 
 __all__ = [
@@ -41,7 +41,7 @@ class ImportedFrame(NamedTuple):
     half_b: Pixels  # h w 3, the same again, or the other half
     broken: Mapping[str, NDArray[np.bool_]] = {}  # h w 1, by buffer: replaced by background
     empty: Mapping[str, NDArray[np.bool_]] = {}  # h w 1, by image: outside the data window
-    files: Mapping[str, Sequence[Path]] = {}  # of the samples and references, by image, in order
+    files: Mapping[str, Path] = {}  # by image, the first whose values are not finite
     counts: Mapping[str, int] = {}  # of what is unusual in the images, see Findings
 
 

@@ -50,6 +50,7 @@ if TYPE_CHECKING:
 
 __all__ = [
     "ensure",
+    "new_or_given_bar",
     "preset_hash",
     "remeasure_sample_ms",
     "preset_jobs",
@@ -136,10 +137,10 @@ def render_missing(
         status = f"{len(job.missing_frames)} frames missing" if job in unfinished else "finished"
         _logger.info("clip %s: %s, in %s", job.name, status, job.folder)
     if unfinished:
-        with _new_or_given_bar(bar, executor) as active_bar:
+        with new_or_given_bar(bar, executor) as active_bar:
             _render_all(unfinished, active_bar, executor)
     if missing := extra_pools.find_missing_pools(jobs):
-        with _new_or_given_bar(bar, LOCAL) as active_bar:
+        with new_or_given_bar(bar, LOCAL) as active_bar:
             extra_pools.add_pools(missing, active_bar)
     return [job.folder for job in jobs]
 
@@ -259,7 +260,7 @@ def _make_header(job: Job, tracer: Tracer) -> Header:
 
 
 @contextmanager
-def _new_or_given_bar(bar: Progress | None, executor: Executor) -> Iterator[Progress]:
+def new_or_given_bar(bar: Progress | None, executor: Executor) -> Iterator[Progress]:
     """The given progress bar, or a new one on standard error."""
     if bar:
         yield bar

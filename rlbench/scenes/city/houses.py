@@ -1,12 +1,22 @@
-"""Houses: fronts with shops, windows, shutters, awnings, roofs and chimneys."""
+"""Houses around the square with their windows, and a round office tower of tilted panes."""
 
 from __future__ import annotations
 
 import numpy as np
+from numpy.typing import NDArray
 
-from rlbench.scenes.city.windows import ATLAS_CELLS, show_atlas_cells
-from rlbench.scenes.parts.primitives import boxes, quads
-from rlbench.scenes.parts.shape import Float32Array, Shape, merge, paint
+from rlbench.scenes.parts.materials import Pixels
+from rlbench.scenes.parts.shapes import (
+    Float32Array,
+    Float64Array,
+    Shape,
+    boxes,
+    lathe,
+    merge,
+    paint,
+    quads,
+    transform,
+)
 
 STOREY_HEIGHT, BAY_WIDTH = 3.1, 2.4  # metres: height of a storey, width of a window bay
 HOUSE_COLOURS = (
@@ -24,6 +34,12 @@ HOUSE_COLOURS = (
     (0.09, 0.19, 0.04),  # 11 leaves
     (0.26, 0.15, 0.075),  # 12 light wood
 )
+ATLAS_CELLS = 6  # along each side of the atlas
+CURTAIN_COLOURS = ((0.60, 0.57, 0.50), (0.50, 0.30, 0.22), (0.35, 0.40, 0.42))
+SHOP_COLOURS = ((0.05, 0.14, 0.12), (0.20, 0.05, 0.05), (0.06, 0.08, 0.16), (0.16, 0.11, 0.05))
+OFFICE_RADIUS, OFFICE_STOREY_HEIGHT, OFFICE_STOREY_COUNT = 7.5, 3.4, 7  # metres, metres, count
+PANES_PER_STOREY = 44  # around the tower
+LOBBY_HEIGHT = 4.4  # metres: height of the ground floor
 
 
 def build_house(random: np.random.Generator, bays: int, storeys: int) -> dict[str, Shape]:
@@ -142,3 +158,127 @@ def _build_facade_details(
         paint(roof, 3, size),
         paint(boxes(low, low + (0.8, 0.6, 3.6)), 2, size),
     ]
+
+
+def show_atlas_cells(glass: Shape, cells: NDArray[np.int64]) -> Shape:
+    """The panes, four vertices each, textured with one cell of `window_atlas` each.
+
+    Cells are numbered row by row.
+    """
+    corner = np.stack([cells % ATLAS_CELLS, cells // ATLAS_CELLS], -1).repeat(4, 0)
+    return glass._replace(uv=((corner + 0.02 + 0.96 * glass.uv) / ATLAS_CELLS).astype(np.float32))
+
+
+def window_atlas(random: np.random.Generator, size: int = 64) -> Pixels:
+    """An atlas of ATLAS_CELLS x ATLAS_CELLS cells [h w 3], `size` texels each.
+
+    The last two rows show offices and shops, the others rooms.
+    """
+    rows = []
+    texel_centres = (np.arange(size) + 0.5) / size
+    v, u = np.meshgrid(texel_centres, texel_centres, indexing="ij")
+    draw_rows = [_room_cell] * (ATLAS_CELLS - 2) + [_office_cell, _shop_cell]
+    for draw_cell in draw_rows:
+        rows.append(np.concatenate([draw_cell(random, u, v) for _ in range(ATLAS_CELLS)], 1))
+    return np.concatenate(rows).astype(np.float32)
+
+
+def _room_cell(random: np.random.Generator, u: Float64Array, v: Float64Array) -> Float64Array:
+    """A dark room behind curtains on both sides and perhaps a blind; v points up."""
+    room = np.full((*u.shape, 3), 0.012) + 0.02 * v[..., None]
+    cloth = np.array(CURTAIN_COLOURS)[random.integers(len(CURTAIN_COLOURS))]
+    drawn = random.uniform(0.0, 0.42) + 0.06 * (1 - v) ** 2
+    fold = 0.75 + 0.25 * np.sin(2 * np.pi * (14 * u + random.uniform()))
+    curtain = (np.abs(u - 0.5) > 0.5 - drawn)[..., None]
+    shaded = cloth * fold[..., None] * 0.7
+    blind = (v > random.uniform(0.45, 1.6))[..., None]
+    slats = _blind_slats(v) * np.array((0.50, 0.48, 0.43))
+    return np.where(blind, slats, np.where(curtain, shaded, room))
+
+
+def _office_cell(random: np.random.Generator, u: Float64Array, v: Float64Array) -> Float64Array:
+    """A dark blue office under a ceiling with lamps, perhaps behind a blind."""
+    depth = np.array((0.012, 0.022, 0.028)) * (1 + v[..., None])
+    lamps = (v > 0.86) & (np.abs(u * 2 % 1 - 0.5) < 0.3)
+    ceiling = np.where(lamps[..., None], 0.5, np.where((v > 0.8)[..., None], 0.12, depth))
+    blind = (v > random.uniform(0.55, 2.2))[..., None]
+    return np.where(blind, 0.30 * _blind_slats(v), ceiling)
+
+
+def _shop_cell(random: np.random.Generator, u: Float64Array, v: Float64Array) -> Float64Array:
+    """A shop front: a door frame, shelves of goods, and a sign above."""
+    hue = np.array(SHOP_COLOURS)[random.integers(len(SHOP_COLOURS))]
+    image = np.array((0.24, 0.18, 0.12)) * (0.4 + 0.8 * v[..., None])
+    shelf, column = np.floor(v * 11).astype(int), np.floor(u * 13).astype(int)
+    goods = random.uniform(0.1, 0.9, (11, 13, 3)) * random.uniform(0.4, 1, (11, 13, 1))
+    heights = random.uniform(0.4, 0.9, (11, 13))
+    is_goods = (v * 11 % 1 < heights[shelf, column]) & (u * 13 % 1 > 0.12) & (v > 0.16) & (v < 0.62)
+    image = np.where(is_goods[..., None], goods[shelf, column], image)
+    frame = (v < 0.14) | (v > 0.86) | (np.abs(u - 0.5) > 0.46) | (np.abs(u - 0.33) < 0.015)
+    image = np.where(frame[..., None], hue, image)
+    letters = (np.abs(v - 0.93) < 0.03) & (np.sin(61 * u) + np.sin(37 * u + 40 * hue[0]) > 0.1)
+    return np.where((letters & (np.abs(u - 0.5) < 0.35))[..., None], (0.75, 0.62, 0.32), image)
+
+
+def _blind_slats(v: Float64Array) -> Float64Array:
+    return (0.7 + 0.3 * np.sin(2 * np.pi * 24 * v))[..., None]
+
+
+def build_panes(random: np.random.Generator, x: float, y: float) -> Shape:
+    """Glass quads around the axis (x, y), each tilted by a random fraction of a degree.
+
+    The texture stretches over each pane.
+    """
+    angle = np.arange(PANES_PER_STOREY) * (2 * np.pi / PANES_PER_STOREY)
+    low = np.concatenate(
+        [[0.15], LOBBY_HEIGHT + OFFICE_STOREY_HEIGHT * np.arange(OFFICE_STOREY_COUNT)]
+    )
+    high = np.concatenate(
+        [[LOBBY_HEIGHT], LOBBY_HEIGHT + OFFICE_STOREY_HEIGHT * (np.arange(OFFICE_STOREY_COUNT) + 1)]
+    )
+    a, bottom = (grid.ravel() for grid in np.meshgrid(angle, low))
+    _, top = (grid.ravel() for grid in np.meshgrid(angle, high))
+    start = np.stack([x + OFFICE_RADIUS * np.cos(a), y + OFFICE_RADIUS * np.sin(a), bottom], -1)
+    b = a + 2 * np.pi / PANES_PER_STOREY
+    end = np.stack([x + OFFICE_RADIUS * np.cos(b), y + OFFICE_RADIUS * np.sin(b), bottom], -1)
+    up = np.stack([np.zeros_like(a), np.zeros_like(a), top - bottom], -1)
+    out = np.stack(
+        [np.cos(a + np.pi / PANES_PER_STOREY), np.sin(a + np.pi / PANES_PER_STOREY), 0 * a], -1
+    )
+    lean = random.normal(0, 0.005, (len(a), 1)) * out  # metres per metre
+    skew = random.normal(0, 0.008, (len(a), 1)) * out
+    return quads(start, end - start + skew, up + lean * up[:, 2:], tile_size=0)
+
+
+def build_frame(x: float, y: float) -> Shape:
+    """Mullions between the panes, a band at each floor, and a crown, around the axis (x, y)."""
+    angle = np.arange(PANES_PER_STOREY) * (2 * np.pi / PANES_PER_STOREY)
+    top = LOBBY_HEIGHT + OFFICE_STOREY_HEIGHT * OFFICE_STOREY_COUNT
+    width, depth = 0.05, 0.16
+    out = np.stack([np.cos(angle), np.sin(angle), 0 * angle], -1)
+    side = np.stack([-np.sin(angle), np.cos(angle), 0 * angle], -1)
+    foot = np.array([x, y, 0.0]) + (OFFICE_RADIUS - 0.03) * out
+    rise = np.array([0, 0, top])
+    mullions = [
+        quads(foot + depth * out - width * side, 2 * width * side, rise),
+        quads(foot - width * side, depth * out, rise),
+        quads(foot + depth * out + width * side, -depth * out, rise),
+    ]
+    bands = [
+        lathe(
+            [
+                (OFFICE_RADIUS, z - 0.16),
+                (OFFICE_RADIUS + 0.12, z - 0.16),
+                (OFFICE_RADIUS + 0.12, z + 0.16),
+                (OFFICE_RADIUS, z + 0.16),
+            ],
+            PANES_PER_STOREY,
+        )
+        for z in LOBBY_HEIGHT + OFFICE_STOREY_HEIGHT * np.arange(OFFICE_STOREY_COUNT + 1)
+    ]
+    eaves = OFFICE_RADIUS + 0.9
+    crown = lathe(
+        [(OFFICE_RADIUS + 0.1, top), (eaves, top + 0.35), (eaves, top + 0.6), (0.5, top + 0.8)],
+        PANES_PER_STOREY,
+    )
+    return merge(*mullions, *(transform(part, (x, y, 0)) for part in (*bands, crown)))

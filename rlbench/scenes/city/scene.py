@@ -11,13 +11,20 @@ import numpy as np
 
 from rlbench.render.scene import Camera, Mesh, Scene
 from rlbench.scenes.city import trees
-from rlbench.scenes.city.car import build_car
 from rlbench.scenes.city.square import ROAD_RADIUS, building_meshes, car_paint_bsdf, paving_meshes
+from rlbench.scenes.city.street import build_car
 from rlbench.scenes.city.trees import LEAF_COLOURS, Tree
-from rlbench.scenes.parts.primitives import quads
-from rlbench.scenes.parts.shape import Float32Array, Shape, merge, paint, transform, yaw_matrix
+from rlbench.scenes.parts.materials import palette_texture
+from rlbench.scenes.parts.shapes import (
+    Float32Array,
+    Shape,
+    merge,
+    paint,
+    quads,
+    transform,
+    yaw_matrix,
+)
 from rlbench.scenes.parts.takes import cut_take, static_camera_take
-from rlbench.scenes.parts.textures import palette_texture
 
 __all__ = ["scene"]
 

@@ -7,22 +7,42 @@ from collections.abc import Sequence
 import numpy as np
 
 from rlbench.render.scene import Mesh
-from rlbench.scenes.city import office, street
-from rlbench.scenes.city.car import CAR_COLOURS, build_car
-from rlbench.scenes.city.fountain import build_fountain, build_kerbs
-from rlbench.scenes.city.houses import BAY_WIDTH, HOUSE_COLOURS, build_house
+from rlbench.scenes.city import street
+from rlbench.scenes.city.houses import (
+    ATLAS_CELLS,
+    BAY_WIDTH,
+    HOUSE_COLOURS,
+    build_frame,
+    build_house,
+    build_panes,
+    show_atlas_cells,
+    window_atlas,
+)
+from rlbench.scenes.city.street import CAR_COLOURS, build_car
 from rlbench.scenes.city.trees import Tree, build_trunks
-from rlbench.scenes.city.windows import ATLAS_CELLS, show_atlas_cells, window_atlas
 from rlbench.scenes.parts.glassware import unmerge_vertices
-from rlbench.scenes.parts.materials import diffuse_bsdf, glossy_bsdf, metal_bsdf, rgb
-from rlbench.scenes.parts.primitives import disc, icosphere, lathe, quads
-from rlbench.scenes.parts.shape import Shape, merge, paint, transform, yaw_matrix
-from rlbench.scenes.parts.textures import (
+from rlbench.scenes.parts.materials import (
     bitmap_texture,
+    diffuse_bsdf,
+    glossy_bsdf,
+    metal_bsdf,
     mix_colours,
     noise_pixels,
     palette_texture,
+    rgb,
     tile_pixels,
+)
+from rlbench.scenes.parts.shapes import (
+    Shape,
+    boxes,
+    disc,
+    icosphere,
+    lathe,
+    merge,
+    paint,
+    quads,
+    transform,
+    yaw_matrix,
 )
 
 SQUARE_HALF_WIDTH = 15.0  # metres from the fountain to the facades
@@ -94,7 +114,7 @@ def building_meshes(random: np.random.Generator, trees: Sequence[Tree]) -> tuple
                 parts.setdefault(wall if name == "wall" else name, []).append(moved)
             offset = offset + (bays * BAY_WIDTH, 0, 0)
     size = len(HOUSE_COLOURS)
-    tower = office.build_panes(random, *OFFICE_POSITION)
+    tower = build_panes(random, *OFFICE_POSITION)
     offices = ATLAS_CELLS * (ATLAS_CELLS - 2) + random.integers(
         ATLAS_CELLS, size=len(tower.vertices) // 4
     )
@@ -152,7 +172,7 @@ def _reflective_meshes() -> tuple[Mesh, ...]:
     size = len(METAL_COLOURS)
     metals = merge(
         paint(transform(icosphere(4), (0, 0, 3.25), scale=0.62), 0, size),
-        paint(unmerge_vertices(office.build_frame(*OFFICE_POSITION)), 1, size),
+        paint(unmerge_vertices(build_frame(*OFFICE_POSITION)), 1, size),
         paint(street.build_lamp_posts(LAMP_POSTS), 2, size),
         paint(street.build_bollards(_bollard_positions()), 2, size),
     )
@@ -184,3 +204,27 @@ def car_paint_bsdf() -> dict[str, object]:
 def _bollard_positions() -> tuple[tuple[float, float], ...]:
     angle = np.linspace(-2.5, -0.5, 9)
     return tuple((float(8.6 * np.cos(a)), float(8.6 * np.sin(a))) for a in angle)
+
+
+def build_kerbs(road_radius: float) -> Shape:
+    """Low stone kerbs on both sides of the road."""
+    inner, outer = road_radius - 1.6, road_radius + 1.6
+    return merge(
+        lathe([(outer, 0.0), (outer, 0.1), (outer + 0.14, 0.1), (outer + 0.14, 0.0)][::-1], 96),
+        lathe([(inner, 0.0), (inner, 0.1), (inner - 0.14, 0.1), (inner - 0.14, 0.0)], 96),
+    )
+
+
+def build_fountain() -> Shape:
+    """The basin, the stem with its bowl, and the base of the golden ball."""
+    rim = lathe(
+        [(3.1, 0), (3.15, 0.08), (3.05, 0.14), (3.05, 0.5), (3.3, 0.58), (3.3, 0.75), (2.8, 0.75)]
+        + [(2.8, 0.2)],
+        64,
+    )
+    stem = lathe(
+        [(0.8, 0.1), (0.7, 0.3), (0.35, 0.6), (0.28, 1.2), (0.45, 1.45), (1.3, 1.75), (1.4, 1.95)]
+        + [(1.3, 1.95), (0.3, 1.8), (0.22, 2.2), (0.3, 2.55), (0.2, 2.7)],
+        40,
+    )
+    return merge(rim, stem, boxes((-0.2, -0.2, 2.55), (0.2, 0.2, 2.7)))

@@ -7,7 +7,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from rlbench.scenes.parts.shape import Float32Array, Float64Array, Shape, merge, paint
+from rlbench.scenes.parts.shapes import Float32Array, Float64Array, Shape, merge, paint
 
 LEAF_COLOURS = (
     (0.05, 0.14, 0.025),

@@ -10,17 +10,20 @@ import numpy as np
 from numpy.random import Generator
 
 from rlbench.render.scene import MitsubaDict
-from rlbench.scenes.generator.materials import leaf_bsdf, mirror_bsdf, plastic_bsdf, two_sided
-from rlbench.scenes.generator.textures import (
+from rlbench.scenes.generator.materials import (
     PATTERNS,
     TEXTURE_SIZE,
     cloud_noise,
+    leaf_bsdf,
+    mirror_bsdf,
+    plastic_bsdf,
     random_colour,
     random_texture,
     rgb_texture,
     tile_texture,
+    two_sided,
 )
-from rlbench.scenes.parts.shape import Float64Array
+from rlbench.scenes.parts.shapes import Float64Array
 
 FLOORS = ("boards", "boards", "tiles", "tiles", "carpet", "concrete", "marble", "print")
 METALS = ("Cu", "Au", "Al", "Cr", "Ag", "W")  # conductors of Mitsuba

@@ -16,12 +16,17 @@ from numpy.typing import ArrayLike
 from rlbench.scenes.generator.finishes import PALETTE_SIZE, PALETTED, PICTURES
 from rlbench.scenes.generator.solids import SOLIDS, build_box, build_foliage
 from rlbench.scenes.generator.solids import build_vase as build_vase_solid
-from rlbench.scenes.parts.primitives import boxes, cylinder, disc, icosphere, lathe, quads
-from rlbench.scenes.parts.shape import (
+from rlbench.scenes.parts.shapes import (
     Float32Array,
     Shape,
+    boxes,
+    cylinder,
+    disc,
+    icosphere,
+    lathe,
     merge,
     paint,
+    quads,
     rotation_matrix,
     transform,
     yaw_matrix,

@@ -13,7 +13,6 @@ import numpy as np
 from numpy.random import Generator
 
 from rlbench.render.scene import Camera, Mesh, MitsubaDict, Scene
-from rlbench.scenes.generator.camera import draw_camera_track
 from rlbench.scenes.generator.finishes import FLOORS, METALS, STRETCHED, draw_finishes
 from rlbench.scenes.generator.interiors import (
     LIGHTS,
@@ -23,11 +22,10 @@ from rlbench.scenes.generator.interiors import (
     furnish,
 )
 from rlbench.scenes.generator.lights import draw_sky, draw_white, emissive_mesh, emitted_flux
-from rlbench.scenes.generator.movers import draw_movers
+from rlbench.scenes.generator.materials import rgb_texture
+from rlbench.scenes.generator.motion import draw_camera_track, draw_movers, draw_waving_parts
 from rlbench.scenes.generator.scene import deal
-from rlbench.scenes.generator.textures import rgb_texture
-from rlbench.scenes.generator.waves import draw_waving_parts
-from rlbench.scenes.parts.shape import Shape, merge
+from rlbench.scenes.parts.shapes import Shape, merge
 
 __all__ = ["LEVELS", "MOVES", "TONES", "hard_scene"]
 

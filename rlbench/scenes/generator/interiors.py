@@ -9,7 +9,6 @@ from typing import NamedTuple
 import numpy as np
 from numpy.random import Generator
 
-from rlbench.scenes.generator.camera import CameraTrack
 from rlbench.scenes.generator.furniture import (
     Piece,
     build_cabinet,
@@ -26,11 +25,21 @@ from rlbench.scenes.generator.furniture import (
     finish_piece,
     move,
 )
-from rlbench.scenes.generator.placement import is_blocked
+from rlbench.scenes.generator.motion import CameraTrack, is_blocked
 from rlbench.scenes.generator.places import Disc, Place
-from rlbench.scenes.generator.walls import Opening, Openings, build_walls, opening_row
-from rlbench.scenes.parts.primitives import boxes, cylinder, disc, icosphere, lathe, quads
-from rlbench.scenes.parts.shape import Float64Array, Shape, transform, yaw_matrix
+from rlbench.scenes.generator.solids import Opening, Openings, build_walls, opening_row
+from rlbench.scenes.parts.shapes import (
+    Float64Array,
+    Shape,
+    boxes,
+    cylinder,
+    disc,
+    icosphere,
+    lathe,
+    quads,
+    transform,
+    yaw_matrix,
+)
 from rlbench.scenes.parts.sheets import sheet
 
 LIGHTS = ("cove", "uplight", "ajar", "sky", "sun", "panel", "panel", "bulbs", "spots", "mixed")

@@ -8,10 +8,16 @@ import numpy as np
 from numpy.random import Generator
 
 from rlbench.render.scene import Mesh, MitsubaDict
+from rlbench.scenes.generator.materials import random_colour, rgb_texture
 from rlbench.scenes.generator.places import Place
-from rlbench.scenes.generator.textures import random_colour, rgb_texture
-from rlbench.scenes.parts.primitives import quads
-from rlbench.scenes.parts.shape import Float64Array, Shape, merge, rotation_matrix, transform
+from rlbench.scenes.parts.shapes import (
+    Float64Array,
+    Shape,
+    merge,
+    quads,
+    rotation_matrix,
+    transform,
+)
 
 REC709_LUMINANCE = np.array([0.2126, 0.7152, 0.0722])  # as in rlbench.ops.color, without torch
 MEAN_ALBEDO = 0.45  # assumed by the estimate of the mean radiance

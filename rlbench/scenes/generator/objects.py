@@ -7,8 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.random import Generator
 
-from rlbench.scenes.generator.camera import CameraTrack
-from rlbench.scenes.generator.placement import footprint_radius, is_blocked
+from rlbench.scenes.generator.motion import CameraTrack, footprint_radius, is_blocked
 from rlbench.scenes.generator.places import Disc, Place
 from rlbench.scenes.generator.solids import (
     SOLIDS,
@@ -19,8 +18,15 @@ from rlbench.scenes.generator.solids import (
     build_torus,
     build_vase,
 )
-from rlbench.scenes.parts.primitives import boxes, cylinder
-from rlbench.scenes.parts.shape import Float64Array, Shape, merge, transform, yaw_matrix
+from rlbench.scenes.parts.shapes import (
+    Float64Array,
+    Shape,
+    boxes,
+    cylinder,
+    merge,
+    transform,
+    yaw_matrix,
+)
 
 
 def scatter_objects(

@@ -7,10 +7,15 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.random import Generator
 
-from rlbench.scenes.generator.solids import build_block_stack, build_box, build_foliage
-from rlbench.scenes.generator.walls import Aperture, build_walls, opening_row
-from rlbench.scenes.parts.primitives import cylinder, grid
-from rlbench.scenes.parts.shape import Shape, merge, transform, yaw_matrix
+from rlbench.scenes.generator.solids import (
+    Aperture,
+    build_block_stack,
+    build_box,
+    build_foliage,
+    build_walls,
+    opening_row,
+)
+from rlbench.scenes.parts.shapes import Shape, cylinder, grid, merge, transform, yaw_matrix
 
 Disc = tuple[float, float, float]  # x, y, radius of a circle on the floor, metres
 

@@ -1,31 +1,37 @@
-"""Random training scenes from a seed: rooms, halls, open ground and shallow pools.
+"""Random training scenes from a seed: rooms, halls, open ground and shallow pools, and events.
 
 No test scene is imported or imitated. The seed determines shapes, layout, textures, light and
-motion, so a method that was trained on these scenes has not seen the test scenes.
+motion, so a method that was trained on these scenes has not seen the test scenes. In eventful
+scenes a light is switched, or the camera cuts or hurries.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from dataclasses import replace
 
 import numpy as np
 from numpy.random import Generator
 
-from rlbench.render.scene import Mesh, MitsubaDict, Scene
-from rlbench.scenes.generator.camera import CAMERA_MOVES, draw_camera_track
+from rlbench.render.scene import Camera, Mesh, MitsubaDict, Scene
 from rlbench.scenes.generator.lights import LIGHT_KINDS, draw_lighting
 from rlbench.scenes.generator.materials import draw_materials
-from rlbench.scenes.generator.movers import draw_movers
+from rlbench.scenes.generator.motion import (
+    CAMERA_MOVES,
+    draw_camera_track,
+    draw_movers,
+    draw_waving_parts,
+)
 from rlbench.scenes.generator.objects import scatter_objects
 from rlbench.scenes.generator.places import PLACES
-from rlbench.scenes.generator.waves import draw_waving_parts
-from rlbench.scenes.parts.primitives import boxes
-from rlbench.scenes.parts.shape import Shape
+from rlbench.scenes.parts.shapes import Shape, boxes, yaw_matrix
 
-__all__ = ["FAMILIES", "deal", "scene"]
+__all__ = ["EVENTS", "FAMILIES", "deal", "eventful_scene", "scene"]
 
 FAMILIES = ("room", "hall", "open", "water")
 DISPLAY_GREY = 0.22  # display value to which the exposure maps the estimated mean radiance
+EVENTS = ("none", "none", "switch", "switch", "cut", "hurry", "switch and cut", "hurry and switch")
+FIRST_EVENT, LAST_EVENT = 3, 10  # frames, of 12, between which an event happens
 
 
 def scene(seed: int) -> Scene:
@@ -86,3 +92,72 @@ def _draw_mesh(rng: Generator, name: str, part: Shape, material: MitsubaDict) ->
     tile_size = np.float32(rng.uniform(0.5, 2.5))  # metres
     smooth = name not in ("leaf", "wall", "floor", "block")
     return Mesh(name, part.vertices, part.faces, material, part.uv / tile_size, smooth=smooth)
+
+
+def eventful_scene(seed: int) -> Scene:
+    """The generated scene of a seed, with an event dealt from EVENTS.
+
+    At a switch, the radiance of one emitter is multiplied by a factor between 1/8 and 4. At a cut,
+    the camera turns by 40 to 140 degrees. A scene that hurries moves 2 to 4 times as fast. The same
+    seed always gives the same scene.
+
+    >>> eventful_scene(128).name
+    'eventful-128'
+    """
+    rng = np.random.default_rng([0xE7E27, seed])
+    event, still = deal(seed, EVENTS, salt=3), scene(seed)
+    eventful = replace(still, name=f"eventful-{seed}", title=f"{still.title}, {event}")
+    if "hurry" in event:
+        eventful = _hurry(eventful, float(rng.uniform(2, 4)))
+    if "cut" in event:
+        eventful = _cut(eventful, rng)
+    if "switch" in event:
+        eventful = _switch(eventful, rng)
+    return eventful
+
+
+def _hurry(still: Scene, speed: float) -> Scene:
+    """The scene with all motion `speed` times as fast."""
+    return replace(
+        still,
+        camera=lambda time: still.camera(speed * time),
+        vertex_animation=lambda time: still.vertex_animation(speed * time),
+    )
+
+
+def _cut(still: Scene, rng: Generator) -> Scene:
+    """The scene with a second shot, in another direction from the same place."""
+    frame = _draw_frame(rng)
+    angle = rng.choice([-1, 1]) * np.radians(rng.uniform(40, 140))
+    turn = _turn(still.camera, float(angle))
+    return replace(
+        still,
+        camera=lambda time: turn(time) if time >= frame else still.camera(time),
+        cuts=(frame,),
+        static=False,
+    )
+
+
+def _turn(camera: Callable[[float], Camera], angle: float) -> Callable[[float], Camera]:
+    """The camera, turned about the vertical through its origin by an angle in radians."""
+
+    def turn(time: float) -> Camera:
+        shot = camera(time)
+        origin = np.array(shot.origin)
+        x, y, z = origin + yaw_matrix(angle) @ (np.array(shot.target) - origin)
+        return replace(shot, target=(float(x), float(y), float(z)))
+
+    return turn
+
+
+def _switch(still: Scene, rng: Generator) -> Scene:
+    """The scene with one emitter that is dimmed or brightened from one frame on."""
+    lamps = [mesh.name for mesh in still.meshes if mesh.emission is not None]
+    emitters = [*lamps, *(f"sky{k}" for k in range(len(still.sky)))]
+    emitter, frame = str(rng.choice(emitters)), _draw_frame(rng)
+    factor = float(2 ** rng.uniform(-3, 2))
+    return replace(still, lights=lambda time: {emitter: factor if time >= frame else 1.0})
+
+
+def _draw_frame(rng: Generator) -> int:
+    return int(rng.integers(FIRST_EVENT, LAST_EVENT))

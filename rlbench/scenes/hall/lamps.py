@@ -8,8 +8,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from rlbench.scenes.parts.primitives import quads
-from rlbench.scenes.parts.shape import Float32Array, Float64Array, Shape, merge, yaw_matrix
+from rlbench.scenes.parts.shapes import Float32Array, Float64Array, Shape, merge, quads, yaw_matrix
 
 HALF_WIDTH, LENGTH, HEIGHT = 7.0, 34.0, 7.0  # metres
 RING_Y, RING_Z = 15.0, 2.95  # metres: centre of the great rings

@@ -16,16 +16,19 @@ from rlbench.scenes.hall.lamps import (
     lamp_circle,
     transform_lamps,
 )
-from rlbench.scenes.parts.primitives import boxes, cylinder, icosphere, lathe
-from rlbench.scenes.parts.shape import (
+from rlbench.scenes.parts.shapes import (
     Float32Array,
     Float64Array,
     Shape,
+    boxes,
+    cylinder,
+    icosphere,
+    lathe,
     merge,
     transform,
     yaw_matrix,
 )
-from rlbench.scenes.parts.shape import rotation_matrix as about
+from rlbench.scenes.parts.shapes import rotation_matrix as about
 from rlbench.scenes.parts.sheets import torus
 
 DRONES = ((-2.2, 9.0, 2.6), (2.4, 11.0, 3.6), (0.2, 21.0, 2.2), (-3.2, 14.0, 4.4))

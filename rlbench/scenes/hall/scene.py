@@ -13,18 +13,21 @@ from rlbench.render.scene import Camera, Mesh, Scene
 from rlbench.scenes.hall import structure
 from rlbench.scenes.hall.lamps import RADIANCE, Lamps, build_tubes, concatenate_lamps, fixed_lamps
 from rlbench.scenes.hall.machines import build_machines, machine_lamps
-from rlbench.scenes.parts.materials import diffuse_bsdf, glossy_bsdf, metal_bsdf, polished_bsdf, rgb
-from rlbench.scenes.parts.primitives import boxes, quads
-from rlbench.scenes.parts.shape import Shape, merge, paint, transform, yaw_matrix
-from rlbench.scenes.parts.takes import cut_take, frozen_take, static_camera_take
-from rlbench.scenes.parts.textures import (
+from rlbench.scenes.parts.materials import (
     Colour,
     bitmap_texture,
+    diffuse_bsdf,
+    glossy_bsdf,
+    metal_bsdf,
     mix_colours,
     noise_pixels,
     palette_texture,
+    polished_bsdf,
+    rgb,
     tile_pixels,
 )
+from rlbench.scenes.parts.shapes import Shape, boxes, merge, paint, quads, transform, yaw_matrix
+from rlbench.scenes.parts.takes import cut_take, frozen_take, static_camera_take
 
 __all__ = ["scene"]
 

@@ -5,10 +5,12 @@ from __future__ import annotations
 import numpy as np
 
 from rlbench.scenes.hall.lamps import CONSOLES, HALF_WIDTH, HEIGHT, LENGTH, RING_Y, RING_Z
-from rlbench.scenes.parts.primitives import boxes, cylinder, lathe
-from rlbench.scenes.parts.shape import (
+from rlbench.scenes.parts.shapes import (
     Float64Array,
     Shape,
+    boxes,
+    cylinder,
+    lathe,
     merge,
     rotation_matrix,
     transform,

@@ -9,8 +9,16 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from rlbench.scenes.parts.primitives import disc, icosphere, lathe
-from rlbench.scenes.parts.shape import Shape, merge, rotation_matrix, transform, yaw_matrix
+from rlbench.scenes.parts.shapes import (
+    Shape,
+    disc,
+    icosphere,
+    lathe,
+    merge,
+    rotation_matrix,
+    transform,
+    yaw_matrix,
+)
 
 AXIS_RADIUS = 0.002  # metres: radius at which a disc closes a profile at the axis
 

@@ -5,8 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import ArrayLike
 
-from rlbench.scenes.parts.primitives import quads
-from rlbench.scenes.parts.shape import Float64Array, Shape, grid_faces, merge, to_shape
+from rlbench.scenes.parts.shapes import Float64Array, Shape, grid_faces, merge, quads, to_shape
 
 
 def sheet(points: ArrayLike, tile_size: float = 1.0) -> Shape:

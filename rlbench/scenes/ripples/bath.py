@@ -5,11 +5,31 @@ from __future__ import annotations
 import numpy as np
 
 from rlbench.render.scene import Mesh
-from rlbench.scenes.parts.materials import diffuse_bsdf, glossy_bsdf, metal_bsdf, rgb
-from rlbench.scenes.parts.primitives import boxes, disc, icosphere, lathe, quads
-from rlbench.scenes.parts.shape import Shape, merge, paint, rotation_matrix, transform, yaw_matrix
-from rlbench.scenes.parts.textures import bitmap_texture, palette_texture, tile_pixels
-from rlbench.scenes.ripples.textures import mosaic_pixels, travertine_pixels
+from rlbench.scenes.parts.materials import (
+    Pixels,
+    bitmap_texture,
+    diffuse_bsdf,
+    glossy_bsdf,
+    metal_bsdf,
+    mix_colours,
+    noise_pixels,
+    palette_texture,
+    rgb,
+    tile_pixels,
+)
+from rlbench.scenes.parts.shapes import (
+    Shape,
+    boxes,
+    disc,
+    icosphere,
+    lathe,
+    merge,
+    paint,
+    quads,
+    rotation_matrix,
+    transform,
+    yaw_matrix,
+)
 
 POOL_HALF_WIDTH, POOL_DEPTH = (
     3.0,
@@ -29,6 +49,37 @@ CLUTTER_COLOURS = (
     (0.22, 0.33, 0.10),
 )
 PLINTHS = ((1.15, 0.75, 0.46, 0.22), (-1.75, 1.65, 0.62, 0.46), (2.05, 2.1, 0.5, 0.7))
+
+
+def mosaic_pixels(random: np.random.Generator, cells: int = 120, size: int = 960) -> Pixels:
+    """A mosaic of wavy rings [size size 3], pale enough to show the caustics on it."""
+    colours = np.array(
+        [(0.50, 0.64, 0.60), (0.37, 0.58, 0.58), (0.21, 0.46, 0.51), (0.06, 0.23, 0.34)]
+    )
+    at = (np.arange(cells) + 0.5) / cells * 2 - 1
+    x, y = np.meshgrid(at, at)
+    radius, angle = np.hypot(x, y), np.arctan2(y, x)
+    wave = 9 * radius + 0.55 * np.cos(16 * angle) * (radius > 0.2)
+    band = np.array([3, 0, 1, 0, 2, 0, 0, 1, 3, 1, 0, 0, 2, 0])[np.floor(wave).astype(int)]
+    border = np.maximum(np.abs(x), np.abs(y)) > 0.94
+    stone = colours[np.where(border, 3, band)] * random.uniform(0.8, 1.12, (cells, cells, 1))
+    fine = size // cells
+    full = stone.repeat(fine, 0).repeat(fine, 1)
+    joint = (np.arange(size) % fine == 0)[:, None] | (np.arange(size) % fine == 0)
+    return np.asarray(np.where(joint[..., None], np.array([0.42, 0.46, 0.44]), full), np.float32)
+
+
+def travertine_pixels(random: np.random.Generator) -> Pixels:
+    """Slabs of warm travertine [512 512 3] with veins along the rows."""
+    slabs = tile_pixels(
+        random, [(0.54, 0.46, 0.36), (0.60, 0.52, 0.42)], (0.22, 0.18, 0.14), (3, 2), 0.5, 512, 0.02
+    )
+    cloud = noise_pixels(random, 512, 0.7)
+    across = (np.arange(512) / 512)[:, None, None]
+    vein = 0.5 + 0.5 * np.sin(2 * np.pi * (9 * across + 2.6 * cloud))
+    return slabs * mix_colours((0.80, 0.76, 0.70), (1.08, 1.06, 1.04), np.asarray(vein, np.float32))
+
+
 # x, y, radius, height above the water of round stones that carry glass
 
 

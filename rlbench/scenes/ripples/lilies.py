@@ -7,12 +7,13 @@ from functools import cache
 
 import numpy as np
 
-from rlbench.scenes.parts.primitives import icosphere, quads
-from rlbench.scenes.parts.shape import (
+from rlbench.scenes.parts.shapes import (
     Float64Array,
     Shape,
+    icosphere,
     merge,
     paint,
+    quads,
     rotation_matrix,
     transform,
     yaw_matrix,

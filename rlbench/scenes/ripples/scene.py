@@ -11,11 +11,9 @@ import numpy as np
 
 from rlbench.render.scene import Camera, Mesh, Scene
 from rlbench.scenes.parts.glassware import build_glass_on_plinths
-from rlbench.scenes.parts.materials import glossy_bsdf, rgb
-from rlbench.scenes.parts.primitives import grid, icosphere
-from rlbench.scenes.parts.shape import Float64Array, Shape, transform
+from rlbench.scenes.parts.materials import glossy_bsdf, palette_texture, rgb
+from rlbench.scenes.parts.shapes import Float64Array, Shape, grid, icosphere, transform
 from rlbench.scenes.parts.takes import cut_take, static_camera_take
-from rlbench.scenes.parts.textures import palette_texture
 from rlbench.scenes.ripples.bath import (
     PLINTHS,
     POOL_HALF_WIDTH,

@@ -130,9 +130,7 @@ def test_a_failure_says_what_was_expected_measured_and_allowed(suite):
     assert "measured 1.000 [0.950, 1.050]" in failures["ours / ours/latent"].message
 
 
-def test_failures_are_those_of_the_report_and_the_uncompared_are_skipped(
-    suite, every_verdict
-):
+def test_failures_are_those_of_the_report_and_the_uncompared_are_skipped(suite, every_verdict):
     results = {case.name: type(case.result[0]) for case in suite if case.result}
     cells = {f"{d.key.scene} at 2 spp": d.verdict for d in every_verdict.diffs}
     expected = {"worse": Failure, "missing": Failure, "new": Skipped, "skipped": Skipped}

@@ -5,6 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 import numpy as np
+import OpenEXR
 import pytest
 from typer.testing import CliRunner
 
@@ -67,6 +68,17 @@ def test_radiance_that_is_not_finite_names_file_frame_and_remedy(tmp_path, place
     }
     assert values["s" if place[0] == "s" else place] == 0  # black, as the core makes it
     assert sum(value == 0 for value in values.values()) == 1
+
+
+def test_emission_that_is_not_finite_is_named(tmp_path):
+    write_dump(tmp_path)
+    layout = tmp_path / "layout.toml"
+    layout.write_text(layout.read_text() + '[emission]\nfiles = "e.{frame}.exr"\n')
+    for frame in (1001, 1002, 1003):
+        image = rgb(0.5)
+        image["B"][7, 7] = np.nan if frame == 1003 else 0
+        write(tmp_path / "dump" / f"e.{frame}.exr", image)
+    assert "dump/e.1003.exr: " in import_dump(tmp_path, code=2).replace("dump/ ", "dump/")
 
 
 def test_a_firefly_survives_sanitizing_and_negative_radiance_does_not(tmp_path):
@@ -234,6 +246,24 @@ def test_samples_in_layers_are_numbered_from_any_number(tmp_path, numbers, patte
         2 / 8,
         3 / 8,
     ]
+
+
+def test_samples_in_parts_are_numbered_from_any_number(tmp_path):
+    write_dump(tmp_path)
+    layout = tmp_path / "layout.toml"
+    layout.write_text(
+        layout.read_text().replace(
+            '"s{sample}/b.{frame}.exr"',
+            '"all.{frame}.exr"\npart = "s{sample}"\nchannels = ["R", "G", "B"]',
+        )
+    )
+    header = {"compression": OpenEXR.ZIP_COMPRESSION, "type": OpenEXR.scanlineimage}
+    for frame in (1001, 1002, 1003):
+        parts = [OpenEXR.Part(dict(header), rgb(s / 8), f"s{s}") for s in (3, 1, 2)]
+        OpenEXR.File(parts).write(str(tmp_path / "dump" / f"all.{frame}.exr"))
+    import_dump(tmp_path, "--exposure", "1")
+    found = sorted(frame_of(tmp_path, 1).pool.radiance[0, :, 0, 0, 0].tolist())
+    assert found == [1 / 8, 2 / 8, 3 / 8]
 
 
 def test_a_gap_in_the_numbers_of_layers_is_an_error(tmp_path):

@@ -1,22 +1,28 @@
-"""Pools with temporal reuse, added to finished clips."""
+"""Sample pools of plugins, and the scene as they see it."""
 
 from dataclasses import replace
 
 import numpy as np
 import pytest
 
+from baselines.restir.chains import BIASED, PLAIN, UNBIASED, Restir
 from rlbench.clips.compatibility import incompatibility
 from rlbench.clips.stored import open_clip, read_header, verify
 from rlbench.family import Traits
 from rlbench.render.jobs import extra_pools
+from rlbench.render.jobs.extra_pools import PoolStage
 from rlbench.render.jobs.job import Job
 from rlbench.render.jobs.render_clips import render_clip, render_missing
+from rlbench.render.mitsuba.open_tracer import WavefrontTracer
 from rlbench.render.mitsuba.variant import select_variant
 from rlbench.render.presets import Preset
-from tests.render.small_scenes import room
+from rlbench.render.scene import Camera, Mesh, Scene
+from tests.render.small_scenes import diffuse, grey, room, square
 
 PRESET = Preset("test", "tests", (16, 24), frames=4, reference_spp=2, pool_spp=2)
 BOTH = replace(PRESET, pools=("path", "restir"))
+H, W = 16, 24
+SIGMAS = 4.0  # standard errors that a mean may deviate
 
 
 def job(folder, preset=BOTH, scene=None):
@@ -143,3 +149,171 @@ def test_the_scalar_variant_adds_no_pool_and_the_incompatibility_names_it(plain)
     assert "'restir' pool, the clip has: path" in incompatibility(
         header, Traits(pool="restir"), 1.0
     )
+
+
+def open_scene(scene, time=0.0):
+    tracer = WavefrontTracer(scene, H, W)
+    tracer.set_time(time)
+    return tracer
+
+
+def chains(tracer, count, config=BIASED, indirect=True):
+    return Restir(PoolStage(tracer, "restir"), range(count), config, indirect)
+
+
+def camera_alone(depth):
+    """The room in which only the camera moves: there the unbiased form is exact."""
+    return replace(room(), vertex_animation=lambda time: {}, max_depth=depth)
+
+
+def many_lamps():
+    """A floor of 40 x 40 m under 400 lamps of 10 x 10 cm, half a metre above it."""
+    middle = np.stack(np.meshgrid(np.arange(20.0), np.arange(20.0)), -1).reshape(-1, 1, 2) * 2 - 19
+    corner = np.array([[-1, -1], [-1, 1], [1, 1], [1, -1]]) * 0.05  # clockwise: it faces down
+    flat = (middle + corner).reshape(-1, 2)
+    vertices = np.column_stack([flat, np.full(len(flat), 0.5)]).astype(np.float32)
+    faces = (np.arange(400)[:, None, None] * 4 + [[0, 1, 2], [0, 2, 3]]).reshape(-1, 3)
+    lamp = {"type": "area", "radiance": grey(5.0)}
+    lamps = Mesh("lamps", vertices, faces.astype(np.uint32), diffuse(0, 0, 0), emission=lamp)
+    return Scene(
+        name="lamps",
+        title="Many lamps for tests",
+        meshes=(square("floor", 20.0, 0.0, diffuse(0.5, 0.5, 0.5)), lamps),
+        camera=lambda time: Camera((0.02 * time, -6.0, 3.0), (0, 0, 0), fov=50.0),
+        max_depth=2,
+    )
+
+
+def standard_errors(samples, reference, variance, spp):
+    """Deviation of the means of 2 x 3 areas from those of a reference, in standard errors.
+
+    `samples` [s h w 3] are independent; so are those of the reference, of this variance.
+    """
+
+    def areas(image):
+        return image.reshape(*image.shape[:-3], 2, H // 2, 3, W // 3, 3).mean((-4, -2))
+
+    means = areas(samples.astype(np.float64))
+    scatter = means.var(0, ddof=1) / len(means) + areas(variance) / spp / (H * W / 6)
+    return np.abs(means.mean(0) - areas(reference)) / np.sqrt(scatter)
+
+
+def test_one_candidate_without_reuse_is_next_event_estimation(llvm):
+    import mitsuba as mi
+
+    tracer = open_scene(room(), 1.0)
+    (samples,) = chains(tracer, 1, PLAIN, indirect=False)()
+
+    pixels = mi.UInt32(np.arange(H * W))
+    numbers = PoolStage(tracer, "restir").sampler(pixels, mi.UInt32(np.zeros(H * W)))
+    jitter, place = numbers.next_2d(), numbers.next_2d()
+    rows, columns = np.indices((H, W)).reshape(2, -1)
+    ray = tracer.rays(mi.Float(columns) + jitter.x, mi.Float(rows) + jitter.y)
+    hit = tracer.mi_scene.ray_intersect(ray)
+    light, weight = tracer.mi_scene.sample_emitter_direction(hit, place, True, hit.is_valid())
+    value = hit.bsdf(ray).eval(mi.BSDFContext(), hit, hit.to_local(light.d), hit.is_valid())
+    expected = np.stack([(value * weight)[c].numpy() for c in range(3)], -1).reshape(H, W, 3)
+    assert expected.max() > 0.1
+    np.testing.assert_allclose(samples, expected, rtol=1e-4, atol=1e-6)  # W is 1, but for rounding
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("config", [PLAIN, UNBIASED], ids=["plain", "unbiased"])
+@pytest.mark.parametrize("depth", [2, 6], ids=["direct", "direct and indirect"])
+def test_means_are_those_of_the_path_tracer(llvm, config, depth):
+    tracer = open_scene(camera_alone(depth))
+    pool = chains(tracer, 256, config)
+    for time in range(4):  # with a history of three frames
+        tracer.set_time(float(time))
+        samples = pool()
+    spp = 4096
+    assert standard_errors(samples, *tracer.trace_moments(spp, "referenceA"), spp).max() < SIGMAS
+
+
+@pytest.mark.slow
+def test_the_biased_form_loses_little_light_and_gains_none(llvm):
+    tracer = open_scene(camera_alone(2))
+    pool = chains(tracer, 128)
+    for time in range(6):
+        tracer.set_time(float(time))
+        samples = pool()
+    ratio = samples.mean() / tracer.trace_mean(1024, "referenceA").mean()
+    assert 0.85 < ratio < 1.02  # shadows darken where neighbours do not see the lamp: 0.92 here
+
+
+@pytest.mark.slow
+def test_under_many_lamps_its_variance_is_a_small_part_of_next_event_estimations(llvm):
+    tracer = open_scene(many_lamps())
+    plain, reused = chains(tracer, 32, PLAIN), chains(tracer, 32)
+    for time in range(4):
+        tracer.set_time(float(time))
+        first, second = plain(), reused()
+    assert second.var(0).mean() < first.var(0).mean() / 5
+    truth = tracer.trace_mean(4096, "referenceA").mean()
+    assert 0.7 < second.mean() / truth < 1.05
+
+
+def test_no_history_survives_a_cut(llvm):
+    tracer = open_scene(replace(room(), cuts=(2,)))
+    pool = chains(tracer, 2)
+    for time in (0.0, 1.0, 2.0):
+        tracer.set_time(time)
+        samples = pool()
+    np.testing.assert_array_equal(samples, chains(tracer, 2)())
+
+
+def test_disoccluded_pixels_have_no_history(llvm):
+    def to_the_right(time):
+        return Camera((0.5 * time, -6.0, 2.5), (0.5 * time, 0, 0.5), fov=50.0)
+
+    tracer = open_scene(replace(room(), vertex_animation=lambda time: {}, camera=to_the_right))
+    pool = chains(tracer, 1, replace(BIASED, passes=0))
+    for time in (0.0, 1.0):
+        tracer.set_time(time)
+        pool()
+    count = pool.history.reservoir.M.numpy().reshape(H, W)
+    columns = np.arange(W) + 0.5 + pool.context.motion()[0].numpy().reshape(H, W)
+    new = columns >= W
+    assert new.any()
+    assert set(np.unique(count[new])) <= {0, BIASED.candidates}
+    assert (count[~new] == 2 * BIASED.candidates).mean() > 0.2  # the ground lies at a steep angle
+
+
+def test_the_history_counts_at_most_twenty_times_the_current_frame(llvm):
+    tracer = open_scene(room(static=True))
+    pool = chains(tracer, 1, replace(BIASED, candidates=2, passes=0))
+    for _ in range(25):
+        pool()
+    assert pool.history.reservoir.M.numpy().max() == 2 * (20 + 1)
+
+
+def test_a_stream_does_not_depend_on_the_other_streams(llvm):
+    tracer = open_scene(room())
+    stage = PoolStage(tracer, "restir")
+    pools = [Restir(stage, numbers) for numbers in (range(4), range(2), range(2, 4))]
+    for time in (0.0, 1.0):
+        tracer.set_time(time)
+        all_streams, first, second = (pool() for pool in pools)
+    same = (all_streams == np.concatenate([first, second])).all(-1)
+    assert same.mean() > 0.99  # rays that meet two triangles at once, see WavefrontTracer
+
+
+def test_no_kernel_is_compiled_after_the_second_frame(llvm):
+    import drjit as dr
+
+    tracer = open_scene(room())
+    pool = chains(tracer, 2)
+
+    def frame(time):
+        tracer.set_time(time)
+        pool()
+
+    frame(0.0)
+    frame(1.0)
+    with dr.scoped_set_flag(dr.JitFlag.KernelHistory, True):
+        dr.kernel_history_clear()
+        for time in (2.0, 3.0, 4.5):
+            frame(time)
+        kernels = dr.kernel_history([dr.KernelType.JIT])
+    assert kernels
+    assert all(kernel["cache_hit"] for kernel in kernels)
