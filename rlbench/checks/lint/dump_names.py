@@ -15,6 +15,7 @@ from typing import NamedTuple
 import numpy as np
 
 from rlbench.checks.lint.file_numbers import find_patterns
+from rlbench.clips.header import FILE
 from rlbench.clips.importers import limits
 from rlbench.clips.importers.dump_frame import CHANNELS as USUAL_CHANNELS
 from rlbench.clips.importers.file_pattern import match_pattern
@@ -123,9 +124,14 @@ def find_named_images(source: Path) -> dict[str, NamedImage]:
 
 def _read_groups(source: Path) -> dict[str, Path]:
     """The patterns of the EXR files of a dump, each with its first file; newer versions first."""
+    if (source / FILE).is_file():
+        raise SourceError(f"{source} is a clip already: rlbench lint {source} checks it")
     paths = [path for path in limits.list_files(source) if path.suffix.lower() == ".exr"]
     if not paths:
-        raise SourceError(f"{source} holds no EXR file, so no layout can be guessed")
+        content = ", ".join(sorted(path.name for path in source.iterdir())[:8]) or "nothing"
+        raise SourceError(
+            f"{source} holds no EXR file, so no layout can be guessed; it holds: {content}"
+        )
     names = [path.relative_to(source).as_posix() for path in paths]
     patterns = find_patterns(names, lambda text: classify(text) == ("reference", 0))
 
@@ -276,7 +282,10 @@ def _is_read(layout: Layout, path: PurePath, part: str, channel: str) -> bool:
         names = image.channel_names or [
             name for names in USUAL_CHANNELS.get(table, ENDING_COLOURS) for name in names
         ]
-        for name in names:
+        alpha = (
+            [re.sub(r"\w+$", "A", names[0])] if getattr(image, "alpha", "") == "straight" else []
+        )
+        for name in (*names, *alpha):
             pattern = name.replace("{sample}", "*")
             if fnmatchcase(channel, pattern) or fnmatchcase(f"{part}.{channel}", pattern):
                 return True

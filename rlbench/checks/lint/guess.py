@@ -14,6 +14,8 @@ from pathlib import Path
 from typing import Any, Literal, NamedTuple
 
 import torch
+from jaxtyping import Float
+from torch import Tensor
 
 from rlbench.checks.lint.checks import fit_depth
 from rlbench.checks.lint.clip_arrays import ClipArrays, import_arrays
@@ -37,7 +39,7 @@ from rlbench.checks.lint.motion import (
     format_share,
     rank_conventions,
 )
-from rlbench.checks.lint.radiance import correlate, local_mean
+from rlbench.checks.lint.radiance import local_mean, ratio_of_sums
 from rlbench.checks.result import Verdict
 from rlbench.clips.importers.file_pattern import match_pattern
 from rlbench.clips.importers.jitter import read_offsets
@@ -52,7 +54,7 @@ PERIODS = (8, 16, 32)  # of the jitter of engines
 Y_AXES: tuple[Literal["down", "up"], ...] = ("down", "up")
 MAX_JITTER_ERROR = 0.4  # of the jitter's change that a sequence does not explain
 MIN_EDGES = 16  # pixels of partial alpha that decide how colours are stored
-MEANS = 0.35  # correlation of noise: half that of a sample with a mean that it is half of
+MEANS = 0.4  # of the noise that a mean of two loses: less is lost by chance
 DEMODULATED = 0.5  # of the deviation from the reference that is left after a product with albedo
 FLIPS = {
     "upside down": "vertical",
@@ -155,7 +157,7 @@ def format_unclaimed(source: Path, layout: Layout) -> str:
 def _read_counts(source: Path, tables: Tables) -> dict[str, str]:
     """Are images that count spp means of the first samples, or the samples themselves?
 
-    The noise of a mean of two correlates with that of the first sample by 0.7.
+    Of two samples both are as noisy; a mean of two varies half as much as the first of them.
     """
     pattern = tables["radiance"]["files"]
     if "{spp}" not in pattern or "{sample}" in pattern:
@@ -167,25 +169,34 @@ def _read_counts(source: Path, tables: Tables) -> dict[str, str]:
         for name, table in tables.items()
         if name != "reference"
     }
+    found = "names count spp"
+    if 0 in counts:
+        tables.update(numbered)
+        return {"radiance": "likely: separate samples, because they are numbered from 0"}
     if counts >= {1, 2}:
         arrays = import_arrays(source, decode_layout({**tables, **numbered}, "guess"))
-        level = local_mean(arrays.reference)
-        first, second = (
-            ((image - arrays.reference) / level).clamp(-2, 2)
-            for image in arrays.pools["path"].unbind(1)
-        )
-        value, error = correlate(first, second)
-        found = f"the noise of the first two images correlates by {value:.2f} +- {error:.2f}"
+        value, error = _lost_noise(arrays.pools["path"])
+        found = f"the second loses {value:.2f} +- {error:.2f} of the noise that a mean loses"
         if value < MEANS:
             tables.update(numbered)
             return {"radiance": f"{_sureness(MEANS - value)}: separate samples, because {found}"}
-    elif 0 in counts:
-        tables.update(numbered)
-        return {"radiance": "likely: separate samples, because they are numbered from 0"}
-    else:
-        found = "names count spp"
     tables["radiance"]["samples"] = "accumulated"
     return {"radiance": f"means of the first samples, because {found}"}
+
+
+def _lost_noise(pool: Float[Tensor, "t s 3 h w"]) -> tuple[float, float]:
+    """Variance of the first image minus that of the second, over that of their difference.
+
+    0 for two samples, and 1 for a sample and its mean with another one; with a standard error.
+    Nothing is compared with the reference, which may be flipped, or other light.
+    """
+    level = local_mean(pool.mean(1))[:, None]
+    bounded = pool / (pool + level)
+    first, *others = (image - local_mean(image) for image in bounded.unbind(1))
+    if not others:
+        return 1.0, 0.0
+    second = others[0]
+    return ratio_of_sums(first.square() - second.square(), (first - second).square())
 
 
 def _read_alpha(source: Path, tables: Tables) -> dict[str, str]:

@@ -10,10 +10,12 @@ import importlib
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import replace
-from pathlib import Path
+from pathlib import Path, PurePath
 
-from rlbench.clips.importers import left_out
+from rlbench.clips.header import FILE
+from rlbench.clips.importers import left_out, limits
 from rlbench.clips.importers.dump import find_dump_sequences
+from rlbench.clips.importers.file_pattern import match_pattern
 from rlbench.clips.importers.layout import read_layout, ready_layouts
 from rlbench.clips.importers.sequence import ImportedSequence, SourceError
 from rlbench.clips.importers.sky import add_sky_motion
@@ -53,10 +55,14 @@ def find_sequences(
         ]
         expected = " or ".join(read.radiance.patterns)
     if not clips:
+        if (source / FILE).is_file():
+            raise SourceError(f"{source} is a clip already: rlbench lint {source} checks it")
+        near = _find_near(source, layout)
+        hint = f" Did you mean rlbench import {near}?" if near else ""
         content = ", ".join(sorted(path.name for path in source.iterdir())[:8]) or "nothing"
         raise SourceError(
             f"{source} holds nothing of layout '{layout}': expected files such as {expected}; it "
-            f"holds: {content}. rlbench lint --guess {source} writes a layout"
+            f"holds: {content}.{hint} rlbench lint --guess {source} writes a layout"
         )
     counts = Counter(sequence.name for sequence in clips)
     if duplicates := [name for name, count in counts.items() if count > 1]:
@@ -64,6 +70,22 @@ def find_sequences(
             f"{source} holds two clips named '{duplicates[0]}'; import their folders separately"
         )
     return sorted(clips, key=lambda sequence: sequence.name)
+
+
+def _find_near(source: Path, layout: str) -> Path | None:
+    """A folder directly above or below, from which files of radiance match a layout."""
+    if layout in FORMATS:
+        return None
+    patterns = read_layout(layout).radiance.patterns
+    for path in limits.list_files(source):
+        folder, *rest = path.relative_to(source).parts
+        above = PurePath(source.resolve().name, folder, *rest)
+        for pattern in patterns:
+            if rest and match_pattern(pattern, PurePath(*rest)):
+                return source / folder
+            if match_pattern(pattern, above):
+                return source.resolve().parent
+    return None
 
 
 def describe_left_out(

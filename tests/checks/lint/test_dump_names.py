@@ -225,3 +225,15 @@ def test_a_dump_without_radiance_is_an_error(tmp_path):
     write_file(tmp_path / "Normal.1.exr", {"": flat(0.5, *"XYZ")})
     with pytest.raises(SourceError, match="no image looks like radiance"):
         find_named_images(tmp_path)
+
+
+def test_a_folder_without_exr_files_says_what_it_holds(tmp_path):
+    (tmp_path / "beauty.0001.png").write_text("")
+    with pytest.raises(SourceError, match="it holds: beauty.0001.png"):
+        find_named_images(tmp_path)
+
+
+def test_no_layout_is_guessed_for_a_clip(tmp_path):
+    (tmp_path / "clip.toml").write_text("")
+    with pytest.raises(SourceError, match="is a clip already"):
+        find_named_images(tmp_path)

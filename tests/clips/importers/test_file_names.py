@@ -159,6 +159,20 @@ def test_the_last_line_of_an_import_counts_what_is_left_out(tmp_path):
     assert rlbench(*words).endswith(f" 8 files of {source} are left out")
 
 
+@pytest.mark.parametrize("where", ["above", "below"])
+def test_a_source_one_level_off_is_answered_with_the_folder_that_was_meant(tmp_path, where):
+    source, layout = write_plain(tmp_path)
+    other = {"above": tmp_path, "below": source / "s0"}[where]
+    with pytest.raises(SourceError, match=f"Did you mean rlbench import {source}"):
+        formats.find_sequences(other, layout)
+
+
+def test_a_clip_is_not_imported_again(tmp_path):
+    (tmp_path / "clip.toml").write_text("")
+    with pytest.raises(SourceError, match="is a clip already"):
+        formats.find_sequences(tmp_path, "blender")
+
+
 # Patterns: what was put into a name is read from it
 
 
