@@ -30,7 +30,15 @@ from rlbench.system.bfloat16 import require_native_bf16
 from rlbench.weights import training_clips
 from rlbench.wrappers import HalfPrecision, SkipTiles
 
-__all__ = ["Cell", "CellLoader", "RunPlan", "list_cells", "row_name", "weights_file"]
+__all__ = [
+    "Cell",
+    "CellLoader",
+    "RunPlan",
+    "build_method",
+    "list_cells",
+    "row_name",
+    "weights_file",
+]
 
 DEFAULT_SPP = (0.5, 1.0, 2.0, 4.0)  # budgets, samples per pixel
 
@@ -175,7 +183,16 @@ class CellLoader:
         if cell.method not in self._methods:
             _logger.info("%s: built with weights %s", cell.method, cell.weights_file or "none")
             try:
-                self._methods[cell.method] = self._build(cell)
+                if cell.bf16:
+                    require_native_bf16(self.plan.device)  # also on the workers of an executor
+                self._methods[cell.method] = build_method(
+                    cell.method,
+                    self.plan.device,
+                    self.plan.weights,
+                    backend=cell.backend,
+                    bf16=cell.bf16,
+                    skip_tiles=cell.skip_tiles,
+                )
             except Exception as error:  # missing weights or packages: a reason for each cell
                 self._methods[cell.method] = error
         method = self._methods[cell.method]
@@ -194,15 +211,25 @@ class CellLoader:
         clip = cell.clip.open(traits, cell.spp, cell.key.seed, self.plan.device)
         return FirstFrames(clip, self.plan.limit_frames) if self.plan.limit_frames else clip
 
-    def _build(self, cell: Cell) -> Method:
-        device = self.plan.device
-        loaded = registry.load_method(cell.method, device, self.plan.weights)
-        method: Method = CheckedReturns(loaded)
-        use_backend(method, cell.backend, device, cell.bf16)
-        if cell.bf16:
-            require_native_bf16(device)  # also on the workers of an executor
-            method = HalfPrecision(method, device)
-        return SkipTiles(method) if cell.skip_tiles else method
+
+def build_method(
+    name: str,
+    device: torch.device,
+    weights: str | None = None,
+    *,
+    backend: str = EAGER,
+    bf16: bool = False,
+    skip_tiles: bool = False,
+) -> Method:
+    """A method as it is measured: what it returns is checked, and these options are applied.
+
+    `weights` are as those of a plan. Raises what building the method raises, and OptionError for a
+    backend that the device does not have.
+    """
+    method: Method = CheckedReturns(registry.load_method(name, device, weights))
+    use_backend(method, backend, device, bf16)
+    method = HalfPrecision(method, device) if bf16 else method
+    return SkipTiles(method) if skip_tiles else method
 
 
 def _skips_tiles(plan: RunPlan, variant: Variant) -> bool:

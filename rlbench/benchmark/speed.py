@@ -23,11 +23,11 @@ from torch.profiler import ProfilerActivity, profile
 from torch.utils.flop_counter import FlopCounterMode
 
 from rlbench import registry
-from rlbench.backends import EAGER, use_backend
+from rlbench.backends import EAGER
 from rlbench.benchmark.clock import SystemClock
 from rlbench.benchmark.latency import PARTS, REPEATS, TimedRow, Timing, device_name, time_methods
 from rlbench.benchmark.results import UNRELIABLE
-from rlbench.checks.returns import CheckedReturns
+from rlbench.benchmark.run_plan import build_method
 from rlbench.checks.tensors import iterate_parts, iterate_tensors
 from rlbench.clips.in_memory import InMemoryClip
 from rlbench.clips.procedural.clip import procedural_clip
@@ -35,7 +35,7 @@ from rlbench.frames import Clip, GBuffer, Samples, Size
 from rlbench.method import Method, State
 from rlbench.parallel.executor import LOCAL, JobResult, ProgressCallback
 from rlbench.run import run_clip
-from rlbench.wrappers import HalfPrecision, MethodWrapper
+from rlbench.wrappers import MethodWrapper
 
 __all__ = [
     "Configuration",
@@ -101,11 +101,8 @@ class Configuration:
 
     def load(self, device: torch.device) -> Method:
         """The method with its shipped weights, or random ones: they change no time."""
-        is_trained = registry.get_variant(self.method).pretrained
-        weights = None if is_trained else "random"
-        method = CheckedReturns(registry.load_method(self.method, device, weights))
-        use_backend(method, self.backend, device, self.bf16)
-        return HalfPrecision(method, device) if self.bf16 else method
+        weights = None if registry.get_variant(self.method).pretrained else "random"
+        return build_method(self.method, device, weights, backend=self.backend, bf16=self.bf16)
 
 
 def measure_speed(

@@ -39,7 +39,7 @@ STAGES = (
         ("rlbench.render.jobs.live_pool", "scatter_factor"),
         ("rlbench.render.jobs.live_pool", "open_wavefronts"),
     )),
-    Stage("building methods", "methods", (("rlbench.benchmark.run_plan", "CellLoader._build"),)),
+    Stage("building methods", "methods", (("rlbench.benchmark.run_plan", "build_method"),)),
     Stage("timing methods", "methods", (
         ("rlbench.benchmark.timing", "TimingCache.__call__"),
         ("rlbench.benchmark.timing", "ScatterMeter._counts"),
