@@ -46,9 +46,9 @@ PAINTED := accumulate/contrast,oidn,ours,accumulate/tuned
 # learned rows near the front, in all backends
 SPEED := oidn-intel,oidn/tuned,accumulate/contrast,ours,ours/latent,ntas,svgf
 
-CONVENTIONS := mean,svgf,imcd,ntas,oidn,oidn/tuned,accumulate/contrast,ours,ours/latent
+# rows of the picture of the viewer
+VIEWED := mean,svgf,imcd,ntas,oidn,oidn/tuned,accumulate/contrast,ours,ours/latent
 
-APPENDIX := $(addprefix latent-,reinforce C+count denoiser-small encoder-small sampler-small encoder-large sampler-large denoiser-large)
 
 BASELINE := rlbench/benchmark/regression/baselines/mini.json
 
@@ -64,13 +64,9 @@ SHOWN := view=flip&clip=0&frame=7&a=ours&b=mean&split=0.5&px=120&py=90
 # rows of the videos of each scene
 FILMED := mean,oidn,svgf,ntas,ours
 
-FROM1 := 1,2,4,6
-TRAINED_FROM1 := $(foreach name,latent latent-reinforce latent-A2,ours/$(name):ours-$(name)-1+2+4+6spp/$(name))
 SPP := 1000
-SEEDS := 0 1 2 3 4
-TRAINED := $(foreach name,latent latent-A1 latent-A2,ours/$(name):ours-$(name)/$(name))
 
-.PHONY: demo docs baseline table1 variance conventions viewer unseen speed metric-speed overhead overhead-all equal takes standard real recovery crossval appendix seeds gradients stress training campaign contact teaser switched videos site test test-all format clean
+.PHONY: demo docs tables baseline table1 viewer unseen speed metric-speed overhead takes real recovery gradients stress training campaign contact teaser switched videos site test test-all format clean
 
 demo: .venv/run.stamp
 	$(BIN)/rlbench run --preset mini --keep-images --out $(RESULTS)
@@ -85,16 +81,13 @@ docs: .venv/dev.stamp
 	$(BIN)/rlbench report summary --results $(RESULTS) --out docs/made
 	$(BIN)/rlbench report pareto --results $(RESULTS) --out docs/made --methods all,oidn/tuned
 	$(BIN)/rlbench report winners --results $(RESULTS) --out docs/made
-	$(BIN)/rlbench report equal_time --results $(RESULTS) --out docs/made
-	$(BIN)/rlbench report equal-latency --results $(RESULTS) --out docs/made
-	$(BIN)/rlbench report network-study --results $(RESULTS) --out docs/made
-	$(BIN)/rlbench report parts --results $(RESULTS) --out docs/made
 	$(BIN)/rlbench images -m ours,oidn-intel,imcd,ntas,svgf,mean --scenes city --out docs/made
 	mv docs/made/city-1spp-07.png docs/made/images.png && rm -r docs/made/city-1spp-07
 	cp docs/made/*.md docs/made/*.png docs/made/winners.csv docs/results && rm -r docs/made
-	$(call page,clips -m '$(RIVALS)',$(RESULTS),mini)
-	$(call page,reference-noise -m '$(RIVALS)',$(RESULTS),reference-noise)
-	$(call page,effort,$(RESULTS),effort)
+
+# the tables of README and documentation that are made from results, rows and cards
+tables: .venv/run.stamp
+	$(BIN)/python docs/tables.py
 
 # the baseline that ships: every row on mini, with four orders of the samples
 baseline: .venv/dev.stamp
@@ -113,51 +106,28 @@ unseen: .venv/dev.stamp
 	$(BIN)/rlbench render --preset unseen --digests > docs/results/unseen-clips.txt
 	$(call page,clips -m '$(RIVALS)',$(RESULTS)/unseen,unseen)
 	$(call page,clips -m '$(CONTROLS)',$(RESULTS)/unseen,controls)
-	$(call page,summary,$(RESULTS)/unseen,unseen-all)
-	$(call page,parts,$(RESULTS)/unseen,parts-unseen)
+	$(call page,parts,$(RESULTS)/unseen,parts)
 
 # times by size, backend and precision, and what a frame costs in work and memory: 9 minutes of a quiet machine
 speed: .venv/dev.stamp
 	$(BIN)/rlbench speed -m '$(SPEED)' --sizes 192,720 --backend eager,openvino --bf16 --repeats 5 --out $(RESULTS)/speed
 	cp $(RESULTS)/speed/speed.md $(RESULTS)/speed/speed.csv docs/results
-	$(BIN)/python -m reports.memory docs/results
 
 # SSIM and MS-SSIM against other libraries at 1080p: a minute of a quiet machine
 metric-speed: .venv/dev.stamp
-	$(BIN)/python -m tests.performance.metric_speed docs/results/metric-speed.md
+	$(BIN)/python -m tests.performance.metric_speed $(RESULTS)/metric-speed.md
 
 # shares of scoring, and of the suite itself, in a run of the demo's rows: 3 minutes of a quiet machine; clips are rendered and decoded before
 overhead: .venv/dev.stamp
 	rm -rf $(RESULTS)/overhead
 	$(BIN)/rlbench run --preset mini --scores-only --out $(RESULTS)/overhead
 	rm -rf $(RESULTS)/overhead
-	$(BIN)/python -m tests.performance.profile_run docs/results/overhead.md --preset mini --out $(RESULTS)/overhead
-
-# the same for all rows: a quarter of an hour, after make docs has decoded the clips
-overhead-all: .venv/dev.stamp
-	rm -rf $(RESULTS)/overhead
-	$(BIN)/python -m tests.performance.profile_run docs/results/overhead-all.md -m 'all/*' --preset mini --spp 0.5,1,2,4 --out $(RESULTS)/overhead
-
-# three learners and uniform sampling, all trained from 1 spp on, because ours/latent-A1 cannot be trained below: an hour of one core, 9 minutes of scoring
-equal: .venv/dev.stamp
-	$(BIN)/rlbench train -m ours/latent,ours/latent-reinforce,ours/latent-A2 --frames 6000 --bf16 --train-spp $(FROM1)
-	$(BIN)/rlbench run -m ours/latent-A1 --preset unseen --spp 1,2,4 --out $(RESULTS)/equal
-	set -e; for row in $(TRAINED_FROM1); do \
-	  $(BIN)/rlbench run -m $${row%:*} --weights from1=runs/$${row#*:}.safetensors --preset unseen --spp 1,2,4 --out $(RESULTS)/equal; \
-	done
-	$(call page,clips,$(RESULTS)/equal,equal)
+	$(BIN)/python -m tests.performance.profile_run $(RESULTS)/overhead.md --preset mini --out $(RESULTS)/overhead
 
 # comparison with static cameras, cuts, switched lights and static scenes: half an hour of rendering, as long for scoring
 takes: .venv/dev.stamp
 	$(BIN)/rlbench run -m '$(COMPARED),ours/lag,$(PUBLISHED)' --preset takes --spp 0.5,1,2,4 --scores-only --out $(RESULTS)/takes
 	$(call page,clips -m '$(TAKES)',$(RESULTS)/takes,takes)
-	$(call page,summary,$(RESULTS)/takes,takes-all)
-
-# the same at 256x256, with references of up to 768 spp: two hours of rendering, half an hour of scoring
-standard: .venv/dev.stamp
-	$(BIN)/rlbench run -m '$(COMPARED),nppd,nppd/history,ntas/history,imcd/history' --preset standard --spp 0.25,0.5,1,2,4 --scores-only --out $(RESULTS)/standard
-	$(call page,clips -m '$(RIVALS)',$(RESULTS)/standard,standard)
-	$(call page,summary,$(RESULTS)/standard,standard-all)
 
 # scenes by others: does the order of our presets hold, and who paints blotches on walls
 real: .venv/dev.stamp
@@ -175,44 +145,11 @@ recovery: .venv/dev.stamp
 	$(BIN)/rlbench report recovery --results $(RESULTS)/recovery --out docs/made
 	mv docs/made/recovery.md docs/made/recovery.png docs/results && rm -r docs/made
 
-# the papers' protocol with short trainings, 1000 crops of the other three scenes: half an hour
-crossval: .venv/dev.stamp
-	$(BIN)/rlbench crossval -m ours,ntas,oidn-intel --frames 1000 --bf16 --out $(RESULTS)/crossval
-	$(call page,clips,$(RESULTS)/crossval/results,crossval)
-
-# the variants without shipped weights, and ours/latent trained for as many crops: two and a half hours of one core, 20 minutes of scoring
-appendix: .venv/dev.stamp
-	set -e; for row in $(foreach name,latent $(APPENDIX),ours/$(name):ours-$(name)/$(name)); do \
-	  $(BIN)/rlbench train -m $${row%:*} --frames 2000 --bf16 --out runs/appendix; \
-	  $(BIN)/rlbench run -m $${row%:*} --weights brief=runs/appendix/$${row#*:}.safetensors --preset takes --takes main --spp $(BUDGETS) --out $(RESULTS)/appendix; \
-	done
-	$(call page,ablation,$(RESULTS)/appendix,appendix)
-
-# does the ranking survive other conventions? 2 minutes
-conventions: .venv/dev.stamp
-	$(BIN)/rlbench run -m '$(CONVENTIONS)' --preset mini --spp 1 --scores-only --keep-images --out $(RESULTS)/kept
-	$(BIN)/rlbench evaluate $(RESULTS)/kept --metrics psnr --convention srgb,paper2023,noisebase-v1,hable,linear
-	$(call page,conventions,$(RESULTS)/kept/evaluated,conventions)
-
-# the picture of the viewer in the README, from the images of make conventions; needs Chromium
+# the picture of the viewer in the README; needs Chromium
 viewer: .venv/dev.stamp
+	$(BIN)/rlbench run -m '$(VIEWED)' --preset mini --spp 1 --scores-only --keep-images --out $(RESULTS)/kept
 	$(BIN)/rlbench view $(RESULTS)/kept --out $(RESULTS)/kept/report.html
 	$(BIN)/python -m tests.reports.viewer.take_picture $(RESULTS)/kept/report.html docs/results/viewer.png '$(SHOWN)'
-
-# parts of variance by scene and order of samples: 5 minutes
-variance: .venv/dev.stamp
-	$(BIN)/rlbench run -m mean,accumulate/contrast,ours --preset mini --spp 1 --draws 4 --out $(RESULTS)/draws
-	$(call page,variance,$(RESULTS)/draws,variance)
-
-# the effect of the training seed, on unseen scenes: five short trainings of three rows; resumes if it was killed
-seeds: .venv/dev.stamp
-	set -e; for seed in $(SEEDS); do \
-	  $(BIN)/rlbench train -m ours/latent,ours/latent-A1,ours/latent-A2 --frames 1000 --bf16 --seed $$seed --out runs/seed$$seed; \
-	  for row in $(TRAINED); do \
-	    $(BIN)/rlbench run -m $${row%:*} --weights seed$$seed=runs/seed$$seed/$${row#*:}.safetensors --preset unseen --spp 1,2,4 --out $(RESULTS)/seeds; \
-	  done; \
-	done
-	$(BIN)/rlbench report seeds --results $(RESULTS)/seeds --out docs/results
 
 # stress tests of every shipped row with weights of its own; resumes if it was killed; succeeds also where tests fail, since the page lists them
 stress: .venv/dev.stamp

@@ -35,7 +35,7 @@ _pages: dict[str, str | bytes] = {}
 
 def on_config(config: MkDocsConfig) -> MkDocsConfig:
     """Make the pages, and add them to the navigation before the last part, the results."""
-    from rlbench.benchmark.site_facts import method_facts, scene_facts
+    from rlbench.benchmark.listing import method_facts, scene_facts
 
     folders = [Path(name) for name in os.environ.get(RESULTS, "").split(":") if name]
     try:
@@ -74,8 +74,8 @@ def _scores(folders: list[Path]) -> list[PresetScores]:
         find_baseline,
         load_baseline,
         shipped_baselines,
+        to_table,
     )
-    from rlbench.benchmark.regression.table import to_table
     from rlbench.benchmark.results import read
 
     parts = []
@@ -87,7 +87,7 @@ def _scores(folders: list[Path]) -> list[PresetScores]:
         baseline = load_baseline(find_baseline(name))
         errors = {e.key: e.stderr_db for e in baseline.entries if e.stderr_db is not None}
         parts += preset_scores(to_table(baseline), BASELINE_SOURCE, errors)
-    return sorted(parts, key=lambda each: (each.preset, each.device))
+    return sorted(parts, key=lambda each: (each.preset, each.scores.device))
 
 
 def _pictures() -> dict[str, tuple[str, bytes]]:

@@ -114,7 +114,7 @@ def max_scales(height: int, width: int) -> int:
 
 
 class SimilarityTerms(NamedTuple):
-    """Means over the windows of each channel, in float64."""
+    """Means over the windows of each channel, in float64 and [-1, 1]."""
 
     similarity: Float64[Tensor, "n 3"]  # of luminance x contrast x structure
     contrast: Float64[Tensor, "n 3"]  # of contrast x structure
@@ -169,7 +169,8 @@ def similarity_terms(
         contrast = contrast + structure.sum((0, -2, -1), dtype=torch.float64)
         similarity = similarity + (luminance * structure).sum((0, -2, -1), dtype=torch.float64)
     windows = (image.shape[-2] - WINDOW + 1) * (image.shape[-1] - WINDOW + 1)
-    return SimilarityTerms(similarity / windows, contrast / windows)
+    # variances are differences of float32 squares, so those of flat images may be below 0
+    return SimilarityTerms(*((term / windows).clamp(-1, 1) for term in (similarity, contrast)))
 
 
 def _window_means(moments: Callable[..., Sequence[Tensor]], *images: Tensor) -> Iterator[Tensor]:

@@ -7,30 +7,33 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-import matplotlib as mpl
 import numpy as np
 import pandas as pd
 from matplotlib.colors import ListedColormap
 from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 
-from reports.analysis.image_errors import Floats, squared_error
-from reports.analysis.shown_rows import first_of_scenes, select_images
+from reports.analysis.images import (
+    Floats,
+    ShownClip,
+    first_of_scenes,
+    select_images,
+    squared_error,
+)
 from reports.layout import style
+from reports.layout.files import write_figure
 from reports.layout.image_grid import (
+    FOOTER,
     add_caption,
     add_colour_bar,
     draw_map,
     draw_picture,
-    symmetric_limit,
+    end_of_scale,
 )
 from reports.layout.page import describe_clips
-from reports.viewer.pictures import ShownClip
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
-
-__all__ = ["Difference", "draw_differences", "find_difference", "large_difference", "write"]
 
 USUAL = ("ours", "ours/A1")  # learned by reward, and by a surrogate gradient, as in the paper
 MAX_SCENES = 4
@@ -38,7 +41,7 @@ COLOURS = "RdBu_r"  # Harrower and Brewer 2003: safe for colour-blind readers; r
 BETTER, NEITHER, WORSE = "#2166AC", "#F2F2F2", "#B2182B"  # its ends
 LARGE_PERCENTILE = 95.0  # of the sizes of all differences: above it one is large
 BINS = 61
-WIDTH, PANEL, FOOTER = 13.0, 3.1, 1.35  # inches
+WIDTH, PANEL = 13.0, 3.1  # inches
 
 
 @dataclass(frozen=True, eq=False)
@@ -72,12 +75,10 @@ def write(
     fewer than two methods have images.
     """
     parts = [find_difference(clip, methods) for clip in first_of_scenes(clips, MAX_SCENES)]
-    with mpl.rc_context(style.RC):
-        files = style.save_figure(draw_differences(parts, describe_clips(results)), folder, name)
     large = large_difference(parts)
-    table = folder / f"{name}.csv"
-    pd.DataFrame([_describe(part, large) for part in parts]).to_csv(table, index=False)
-    return [*files, table]
+    table = pd.DataFrame([_describe(part, large) for part in parts])
+    clips_text = describe_clips(results)
+    return write_figure(lambda: draw_differences(parts, clips_text), folder, name, table)
 
 
 def find_difference(clip: ShownClip, methods: Sequence[str] = ()) -> Difference:
@@ -106,7 +107,7 @@ def draw_differences(parts: Sequence[Difference], clips: str) -> Figure:
         gridspec_kw={"left": 0.008, "right": 0.955, "top": 1 - 0.3 / height,
                      "bottom": FOOTER / height, "wspace": 0.04, "hspace": 0.2},
     )  # fmt: skip
-    limit, large = symmetric_limit([part.values for part in parts]), large_difference(parts)
+    limit, large = end_of_scale(part.values for part in parts), large_difference(parts)
     first, second = parts[0].methods
     for (picture, signed, binary, histogram), part in zip(grid, parts, strict=True):
         frame = part.typical_frame
@@ -120,8 +121,7 @@ def draw_differences(parts: Sequence[Difference], clips: str) -> Figure:
         draw_map(binary, signs, "large differences", cmap=colours, vmin=-1, vmax=1)
         _draw_histogram(histogram, part.values, limit)
     label = f"squared error of {first} minus that of {second}; blue: {first} is better"
-    box = (0.2, (FOOTER - 0.3) / height, 0.3, 0.14 / height)
-    add_colour_bar(figure, drawn, label, box, "both")
+    add_colour_bar(figure, drawn, label, (0.2, 0.3), "both")
     add_caption(
         figure,
         f"{parts[0].target_spp:g} spp, {clips}. Squared error in sRGB, mean over channels. Of each "

@@ -2,66 +2,64 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+from functools import partial
 from pathlib import Path
+from textwrap import fill
+from typing import TYPE_CHECKING, Any
 
-import matplotlib as mpl
 import pandas as pd
+from matplotlib.figure import Figure
+from matplotlib.patches import Patch
 
-from reports.analysis.aggregate import FRAME_PARTS, Scores, metrics_with_values
-from reports.analysis.comparability import check_comparable, split_by_device
+from reports.analysis.scores import FRAME_PARTS, Scores, metrics_with_values
 from reports.layout import style
-from reports.layout.frame_bars import MAX_PANELS, draw_frame_bars
-from reports.layout.page import describe_clips
+from reports.layout.page import Drawing, describe_clips, write_figures
 from rlbench.benchmark.results import MissingRowsError
 
-__all__ = ["frame_times", "write"]
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
 
-COLUMNS = ["method", "target_spp", *FRAME_PARTS, "frame_ms", "unreliable"]
+MAX_PANELS = 4
+PARTS = {  # column: name and colour; the samplers warm, the denoiser blue, the renderer grey
+    "gbuffer_ms": ("G-buffer", "#B8B8B8"),
+    "plan_ms": ("plan", "#D55E00"),
+    "allocate_ms": ("allocate", "#F0B27A"),
+    "sampling_ms": ("sampling", "#6B6B6B"),
+    "denoise_ms": ("denoise", "#0072B2"),
+}
+WIDTH, BAR, MARGIN = 13.0, 0.27, 0.75  # inches: of the figure, of a bar, above and below the bars
+CAPTION_LETTERS = 165  # in a line
 
 
 def write(results: pd.DataFrame, folder: Path, name: str = "frame-time") -> list[Path]:
-    """Write PNG, PDF and SVG of the figure and a CSV of its numbers, one set for each device.
+    """Write the figure and a CSV of its numbers, see `write_figures`.
 
     With more than MAX_PANELS budgets the lowest, the highest and those between in equal steps are
     drawn; the CSV has all. Raises MissingRowsError if no method has a frame time.
     """
-    devices, files = split_by_device(results), []
-    timed = {
-        device: scores for device, rows in devices.items() if (scores := _scores(rows, device))
-    }
-    if not timed:
+    files = write_figures(results, folder, name, _figures)
+    if not files:
         raise MissingRowsError(
             "no method has a frame time on every scene. Measure times with rlbench run; its option "
             "--cost takes sample_ms from a published profile"
         )
-    for device, scores in timed.items():
-        times = frame_times(scores)
-        stem = name if len(timed) == 1 else f"{name}-{style.slug(device)}"
-        with mpl.rc_context(style.RC):
-            figure = draw_frame_bars(_select_budgets(times), _caption(scores))
-            files += style.save_figure(figure, folder, stem)
-        times.to_csv(folder / f"{stem}.csv", index=False)
-        files.append(folder / f"{stem}.csv")
     return files
 
 
+def _figures(scores: Scores) -> dict[str, Drawing]:
+    scores = replace(scores, metric=next(iter(metrics_with_values(scores.rows)), ""))
+    times = frame_times(scores)
+    if times.empty:
+        return {}
+    return {"": (partial(draw_frame_bars, _select_budgets(times), _caption(scores)), times)}
+
+
 def frame_times(scores: Scores) -> pd.DataFrame:
-    """The parts of a frame of each method and budget, mean over scenes; columns as in COLUMNS.
-
-    The parts add up to `frame_ms`.
-    """
+    """The parts of a frame of each method and budget, mean over scenes; they add to `frame_ms`."""
     means = scores.overall
-    return means.loc[means["frame_ms"].notna(), COLUMNS].reset_index(drop=True)
-
-
-def _scores(rows: pd.DataFrame, device: str) -> Scores | None:
-    """The scores of one device, or None if none of its methods has a frame time."""
-    check_comparable(rows)
-    metrics = metrics_with_values(rows)
-    if not metrics:
-        return None
-    scores = Scores(rows, metrics[0], device)
-    return scores if len(frame_times(scores)) else None
+    columns = ["method", "target_spp", *FRAME_PARTS, "frame_ms", "unreliable"]
+    return means.loc[means["frame_ms"].notna(), columns].reset_index(drop=True)
 
 
 def _select_budgets(times: pd.DataFrame) -> pd.DataFrame:
@@ -80,3 +78,64 @@ def _caption(scores: Scores) -> str:
         *(f"Two devices: {mix}." for mix in scores.device_mixes),
     ]
     return "\n".join(lines)
+
+
+def draw_frame_bars(times: pd.DataFrame, caption: str) -> Figure:
+    """The figure. `times` has the columns method, target_spp, those of PARTS, frame_ms, unreliable.
+
+    Methods are in the order of their mean frame time in all panels, the fastest on top. Bars of
+    unreliable times are pale, with a dashed outline.
+    """
+    methods = list(times.groupby("method")["frame_ms"].mean().sort_values().index)
+    budgets = sorted(set(times["target_spp"]))
+    caption = "\n".join(fill(line, CAPTION_LETTERS) for line in caption.splitlines())
+    footer = 1.15 + 0.19 * (caption.count("\n") + 1)
+    height = MARGIN + footer + BAR * len(methods)
+    figure = Figure(figsize=(WIDTH, height))
+    left = (0.35 + 0.085 * max(map(len, methods))) / WIDTH
+    panels = figure.subplots(
+        1, len(budgets), sharey=True, squeeze=False,
+        gridspec_kw={"left": left, "right": 0.985, "top": 1 - 0.42 / height,
+                     "bottom": footer / height, "wspace": 0.06},
+    )[0]  # fmt: skip
+    for axes, budget in zip(panels, budgets, strict=True):
+        _draw_panel(axes, times[times["target_spp"] == budget], methods)
+        axes.set_title(f"{budget:g} spp", loc="left", fontweight="bold")
+        axes.set_xlabel("frame time [ms]")
+    handles = [Patch(color=color, label=name) for name, color in PARTS.values()]
+    if times["unreliable"].any():
+        pale: dict[str, Any] = {"facecolor": "#E4E4E4", "edgecolor": style.BLACK, "linestyle": "--"}
+        handles.append(Patch(label="?: unreliable time", **pale))
+    figure.legend(
+        handles=handles, loc="upper left", ncol=len(PARTS) + 1, frameon=False,
+        bbox_to_anchor=(0.006, (footer - 0.55) / height), columnspacing=1.6, handlelength=1.4,
+    )  # fmt: skip
+    figure.text(0.012, 0.10 / height, caption, fontsize=10.5, color=style.BLACK, va="bottom")
+    return figure
+
+
+def _draw_panel(axes: Axes, times: pd.DataFrame, methods: list[str]) -> None:
+    rows = {row["method"]: row for row in times.to_dict("records")}
+    longest = float(times["frame_ms"].max()) or 1.0
+    for position, method in enumerate(methods):
+        if method not in rows:
+            axes.text(0.01 * longest, position, "not measured", va="center", color=style.GREY,
+                      fontsize=9.5)  # fmt: skip
+            continue
+        row, start = rows[method], 0.0
+        outline: dict[str, Any] = (
+            {"alpha": 0.45, "edgecolor": style.BLACK, "linestyle": "--", "linewidth": 0.8}
+            if row["unreliable"]
+            else {"edgecolor": "white", "linewidth": 0.6}
+        )
+        for column, (_, color) in PARTS.items():
+            axes.barh(position, row[column], left=start, height=0.74, color=color, **outline)
+            start += float(str(row[column]))
+        mark = "?" * bool(row["unreliable"])
+        text = f"{row['frame_ms']:.3g}{mark}"
+        axes.text(start + 0.012 * longest, position, text, va="center", fontsize=10)
+    axes.set_xlim(0, longest * 1.17)
+    axes.set_ylim(len(methods) - 0.4, -0.6)
+    axes.set_yticks(range(len(methods)), methods)
+    axes.tick_params(axis="y", length=0)
+    axes.grid(visible=False, axis="y")

@@ -6,7 +6,6 @@ methods.ours.experiments.gradients.measure --out docs/results
 
 from __future__ import annotations
 
-import argparse
 import sys
 from collections.abc import Iterator
 from pathlib import Path
@@ -14,12 +13,12 @@ from typing import TYPE_CHECKING, Any, NamedTuple, cast
 
 import pandas as pd
 
-from reports.layout.style import BLACK, GREY, RC
+from reports.layout.files import drawn_png, folder_argument
+from reports.layout.style import BLACK, GREY
+from reports.layout.tables import pipe_table
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
-
-__all__ = ["LINE_STYLES", "draw_gradients", "draw_ratios", "gradient_table", "main", "ratio_table"]
 
 GRADIENTS, RATIOS = "gradients", "importance_ratio"  # of the CSVs and the figures
 DOTTED, DASHED = (0, (1, 1.5)), (0, (4, 2))
@@ -61,14 +60,8 @@ PANELS = (
 
 def draw_gradients(rows: pd.DataFrame, file: Path) -> None:
     """Write a PNG: cosine, scale and noise against the budget, a column per denoiser."""
-    import matplotlib as mpl
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
-    from matplotlib.figure import Figure
-
     denoisers = list(rows["denoiser"].unique())
-    with mpl.rc_context(RC):
-        figure = Figure(figsize=(4.6 * len(denoisers), 10.5), layout="constrained")
-        FigureCanvasAgg(figure)
+    with drawn_png(file, (4.6 * len(denoisers), 10.5), 130) as figure:
         grid: Any = figure.subplots(
             len(PANELS), len(denoisers), sharex=True, sharey="row", squeeze=False
         )
@@ -82,7 +75,6 @@ def draw_gradients(rows: pd.DataFrame, file: Path) -> None:
             axes.set_xlabel("samples per pixel")
         lines, names = grid[0, 0].get_legend_handles_labels()
         figure.legend(lines, names, loc="outside lower center", ncols=3, frameon=False)
-        figure.savefig(file, dpi=130, metadata={})
 
 
 def _draw_panel(axes: Axes, rows: pd.DataFrame, panel: Panel) -> None:
@@ -129,33 +121,20 @@ def _least_frames(rows: pd.DataFrame) -> pd.Series[float]:
 
 def draw_ratios(rows: pd.DataFrame, file: Path) -> None:
     """Write a PNG: share of ratios outside the clip range against the side of the image."""
-    import matplotlib as mpl
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
-    from matplotlib.figure import Figure
-
-    with mpl.rc_context(RC):
-        figure = Figure(figsize=(7.5, 4.6), layout="constrained")
-        FigureCanvasAgg(figure)
+    with drawn_png(file, (7.5, 4.6), 130) as figure:
         axes = figure.subplots()
         for (ratio, step), curve in _by_ratio_and_step(rows):
             dash: Any = "-" if step.startswith("Adam") else DOTTED
-            label = f"{ratio}, {step}"
             axes.plot(
-                curve["side"],
-                curve["clipped"],
-                "o",
-                color=RATIO_COLOURS[ratio],
-                linestyle=dash,
-                markersize=4,
-                label=label,
-            )
+                curve["side"], curve["clipped"], "o", color=RATIO_COLOURS[ratio], linestyle=dash,
+                markersize=4, label=f"{ratio}, {step}",
+            )  # fmt: skip
         axes.set_xscale("log", base=2)
         axes.xaxis.set_major_formatter("{x:g}")
         axes.set_ylim(-0.03, 1.03)
         axes.set_xlabel("rows and columns of the image")
         axes.set_ylabel("ratios outside 1 ± 0.15 after one step")
         figure.legend(loc="outside right center", frameon=False)
-        figure.savefig(file, dpi=130, metadata={})
 
 
 def _by_ratio_and_step(rows: pd.DataFrame) -> Iterator[tuple[tuple[str, str], pd.DataFrame]]:
@@ -170,18 +149,17 @@ def gradient_table(rows: pd.DataFrame) -> str:
     "?" is hidden by noise, and ">" a lower bound for the same reason.
     """
     budgets = " / ".join(f"{spp:g}" for spp in TABLE_BUDGETS)
-    lines = [
-        f"| at {budgets} spp | cosine, {PLAIN} | cosine, {WEIGHTED} | length, {PLAIN} "
-        f"| frames, {PLAIN} | frames, {WEIGHTED} |",
-        "| --- |" + " ---: |" * 5,
-    ]
+    lines = []
     for name in rows["estimator"].unique():
         own = rows[rows["estimator"] == name]
         cells = [_cells(own, PLAIN, "cosine"), _cells(own, WEIGHTED, "cosine")]
         cells += [_cells(own, PLAIN, "scale") if own["has_scale"].all() else "any"]
         cells += [_cells(own, PLAIN, "frames"), _cells(own, WEIGHTED, "frames")]
-        lines.append("| " + " | ".join([name, *cells]) + " |")
-    return "\n".join(lines) + "\n"
+        lines.append([name, *cells])
+    both = (PLAIN, WEIGHTED)
+    titles = [*(f"cosine, {name}" for name in both), f"length, {PLAIN}"]
+    titles += [f"frames, {name}" for name in both]
+    return pipe_table([f"at {budgets} spp", *titles], lines)
 
 
 def _cells(rows: pd.DataFrame, denoiser: str, column: str) -> str:
@@ -201,15 +179,11 @@ def _frames(value: float) -> str:
 def ratio_table(rows: pd.DataFrame) -> str:
     """Share of ratios outside the clip range, a line per ratio and step, as Markdown."""
     sides = sorted(rows["side"].unique())
-    lines = [
-        "| ratio, step | " + " | ".join(f"{side}x{side}" for side in sides) + " |",
-        "| --- |" + " ---: |" * len(sides),
-    ]
+    lines = []
     for (ratio, step), own in _by_ratio_and_step(rows):
         shares = own.set_index("side")["clipped"].reindex(sides)
-        cells = [f"{share:.0%}" for share in shares]
-        lines.append("| " + " | ".join([f"{ratio}, {step}", *cells]) + " |")
-    return "\n".join(lines) + "\n"
+        lines.append([f"{ratio}, {step}", *(f"{share:.0%}" for share in shares)])
+    return pipe_table(["ratio, step", *(f"{side}x{side}" for side in sides)], lines)
 
 
 def main(folder: Path) -> None:
@@ -221,10 +195,5 @@ def main(folder: Path) -> None:
 
 
 if __name__ == "__main__":
-    parser = argparse.ArgumentParser(
-        prog="python -m reports.gradients",
-        description=f"Draw FOLDER/{GRADIENTS}.csv and FOLDER/{RATIOS}.csv, the tables of "
-        "python -m methods.ours.experiments.gradients.measure.",
-    )
-    parser.add_argument("folder", type=Path, nargs="?", default=Path("docs/results"))
-    main(parser.parse_args().folder)
+    about = f"Draw FOLDER/{GRADIENTS}.csv and FOLDER/{RATIOS}.csv of the experiment `gradients`."
+    main(folder_argument("gradients", about))

@@ -6,21 +6,18 @@ methods.ours.experiments.compare_learners --out docs/results
 
 from __future__ import annotations
 
-import argparse
 import sys
-from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import pandas as pd
 
-from reports.layout.style import BLACK, GREY, RC
+from reports.layout.files import drawn_png, folder_argument
+from reports.layout.style import BLACK, GREY
+from reports.layout.tables import pipe_table
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
-    from matplotlib.figure import Figure
-
-__all__ = ["average_seeds", "draw_figure", "main", "markdown_table", "read_rows"]
 
 NAME = "known_optimum"  # of the CSV and the figure
 LOWEST_SCORE = -0.35  # of the axis; lower scores are drawn at its edge
@@ -45,11 +42,6 @@ TITLES = {  # of the modes of the problem
 TRAINING = ["learner", "mode", "seed"]  # columns that identify a training
 
 
-def read_rows(file: Path) -> pd.DataFrame:
-    """The CSV that `compare_learners` wrote."""
-    return pd.read_csv(file)
-
-
 def average_seeds(rows: pd.DataFrame) -> pd.DataFrame:
     """Mean, lowest and highest score over seeds, at each evaluation of each training."""
     rows = rows.assign(point=rows.groupby(TRAINING).cumcount())
@@ -69,8 +61,7 @@ def markdown_table(rows: pd.DataFrame) -> str:
     best = rows.groupby(TRAINING)["score"].max().reset_index()
     modes = [mode for mode in TITLES if mode in set(last["mode"])]
     scores = [f"{mode} {when}" for mode in modes for when in ("at the end", "best")]
-    lines = ["| " + " | ".join(["learner", *scores, "frames", "CPU s", "seeds"]) + " |"]
-    lines.append("| --- |" + " ---: |" * (len(scores) + 3))
+    lines = []
     for name in (n for n in LINE_STYLES if n in set(last["learner"])):
         learner, cells = last[last["learner"] == name], [name]
         for mode in modes:
@@ -78,8 +69,8 @@ def markdown_table(rows: pd.DataFrame) -> str:
             top = best.loc[(best["learner"] == name) & (best["mode"] == mode), "score"]
             cells += [_format_range(end), f"{top.mean():.2f}" if len(top) else "-"]
         cells += [f"{learner['frames'].max()}", f"{learner['seconds'].mean():.0f}"]
-        lines.append("| " + " | ".join([*cells, str(learner["seed"].nunique())]) + " |")
-    return "\n".join(lines) + "\n"
+        lines.append([*cells, str(learner["seed"].nunique())])
+    return pipe_table(["learner", *scores, "frames", "CPU s", "seeds"], lines)
 
 
 def _format_range(scores: pd.Series[float]) -> str:
@@ -92,39 +83,26 @@ def _format_range(scores: pd.Series[float]) -> str:
 
 def draw_figure(rows: pd.DataFrame, file: Path) -> None:
     """Write a PNG: score against frames above, against seconds below, a column per mode."""
-    import matplotlib as mpl
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
-    from matplotlib.figure import Figure
-
     curves = average_seeds(rows)
     modes = [mode for mode in TITLES if mode in set(curves["mode"])]
-    with mpl.rc_context(RC):
-        figure = Figure(figsize=(6.2 * len(modes), 8.4), layout="constrained")
-        FigureCanvasAgg(figure)
+    with drawn_png(file, (6.2 * len(modes), 8.4)) as figure:
         grid: Any = figure.subplots(2, len(modes), sharey=True, squeeze=False)
-        for column, mode in enumerate(modes):
-            for axes, x in zip(grid[:, column], ("frames", "seconds"), strict=True):
+        handles: dict[str, Any] = {}
+        for (above, below), mode in zip(grid.T, modes, strict=True):
+            for axes, x in ((above, "frames"), (below, "seconds")):
                 _draw_panel(axes, curves[curves["mode"] == mode], x)
-            grid[0, column].set_title(TITLES[mode])
-            grid[1, column].set_xscale("log")
-            grid[1, column].xaxis.set_major_formatter("{x:g}")
-            grid[0, column].set_xlabel("frames seen in training")
-            grid[1, column].set_xlabel("seconds of one CPU core (shared machine)")
+            above.set_title(TITLES[mode])
+            below.set_xscale("log")
+            below.xaxis.set_major_formatter("{x:g}")
+            above.set_xlabel("frames seen in training")
+            below.set_xlabel("seconds of one CPU core (shared machine)")
+            lines, names = above.get_legend_handles_labels()
+            handles |= dict(zip(names, lines, strict=True))
         for axes in grid[:, 0]:
             axes.set_ylabel("share of the optimal error reduction")
-        _add_key(figure, grid[0])
-        figure.savefig(file, dpi=150, metadata={})
-
-
-def _add_key(figure: Figure, panels: Sequence[Axes]) -> None:
-    """One key for all panels, in the order of LINE_STYLES."""
-    handles: dict[str, Any] = {}
-    for axes in panels:
-        lines, names = axes.get_legend_handles_labels()
-        handles |= dict(zip(names, lines, strict=True))
-    names = [name for name in LINE_STYLES if name in handles]
-    lines = [handles[name] for name in names]
-    figure.legend(lines, names, loc="outside lower center", ncols=4, frameon=False)
+        names = [name for name in LINE_STYLES if name in handles]
+        lines = [handles[name] for name in names]
+        figure.legend(lines, names, loc="outside lower center", ncols=4, frameon=False)
 
 
 def _draw_panel(axes: Axes, curves: pd.DataFrame, x: str) -> None:
@@ -149,16 +127,10 @@ def _draw_panel(axes: Axes, curves: pd.DataFrame, x: str) -> None:
 
 def main(folder: Path) -> None:
     """Read the CSV in `folder`, write the figure beside it, print the table in Markdown."""
-    rows = read_rows(folder / f"{NAME}.csv")
+    rows = pd.read_csv(folder / f"{NAME}.csv")
     draw_figure(rows, folder / f"{NAME}.png")
     sys.stdout.write(markdown_table(rows))
 
 
 if __name__ == "__main__":
-    parser = argparse.ArgumentParser(
-        prog="python -m reports.known_optimum",
-        description=f"Draw FOLDER/{NAME}.csv, a table of "
-        "python -m methods.ours.experiments.compare_learners.",
-    )
-    parser.add_argument("folder", type=Path, nargs="?", default=Path("docs/results"))
-    main(parser.parse_args().folder)
+    main(folder_argument("known_optimum", f"Draw FOLDER/{NAME}.csv of the experiment."))

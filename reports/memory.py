@@ -6,17 +6,15 @@ python -m reports.memory docs/results
 
 from __future__ import annotations
 
-import argparse
 from pathlib import Path
 from typing import Any
 
 import pandas as pd
 
-from reports.analysis.method_names import label_of
-from reports.layout.tables import Table, to_markdown
+from reports.analysis.rows import label_of
+from reports.layout.files import folder_argument
+from reports.layout.tables import Table, format_number, to_markdown
 from reports.published import PublishedMemory, published
-
-__all__ = ["beside_paper", "main", "memory_page", "method_table"]
 
 BYTES = 4  # of a float32 number
 MEGA, MEBI = 1e6, 2**20
@@ -48,19 +46,12 @@ def method_table(rows: pd.DataFrame) -> Table:
     """A row for each method at one image size, the least state first, then the least peak."""
     lines = []
     for row in rows.sort_values(["state_bytes", "memory_mb"]).to_dict("records"):
+        work = (format_number(row["parameters"], ".0f"), format_number(row["multiply_adds"], ".1f"))
         state = row["state_bytes"] * row["height"] * row["width"] / MEBI
-        lines.append(
-            (
-                f"`{row['method']}`",
-                _format(row["parameters"]),
-                _format(row["multiply_adds"], 1),
-                _format(row["state_bytes"]),
-                _format(state, 1),
-                _format(row["memory_mb"]),
-            )
-        )
-    work = ("thousand parameters", "thousand multiply-adds / pixel")
-    head = ("method", *work, "state, bytes / pixel", "state, MiB", "peak, MiB")
+        sizes = (format_number(row["state_bytes"], ".0f"), format_number(state, ".1f"))
+        lines.append((f"`{row['method']}`", *work, *sizes, format_number(row["memory_mb"], ".0f")))
+    titles = ("thousand parameters", "thousand multiply-adds / pixel")
+    head = ("method", *titles, "state, bytes / pixel", "state, MiB", "peak, MiB")
     return Table("By method", "The least state first.", head, tuple(lines))
 
 
@@ -93,10 +84,6 @@ def beside_paper(rows: pd.DataFrame, paper: PublishedMemory) -> list[Table]:
     return [Table("Beside the paper", caption, ("", "paper", f"`{paper.row}` here"), lines)]
 
 
-def _format(value: float, decimals: int = 0) -> str:
-    return "-" if pd.isna(value) else f"{value:.{decimals}f}"
-
-
 def main(folder: Path) -> None:
     """Write memory.md beside the speed.csv of a folder."""
     speed = pd.read_csv(folder / "speed.csv")
@@ -104,9 +91,5 @@ def main(folder: Path) -> None:
 
 
 if __name__ == "__main__":
-    parser = argparse.ArgumentParser(
-        prog="python -m reports.memory",
-        description="Write memory.md from the speed.csv of `rlbench speed` in the same folder.",
-    )
-    parser.add_argument("folder", type=Path, nargs="?", default=Path("docs/results"))
-    main(parser.parse_args().folder)
+    about = "Write memory.md from the speed.csv of `rlbench speed` in the same folder."
+    main(folder_argument("memory", about))

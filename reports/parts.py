@@ -2,29 +2,29 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import pandas as pd
 
-from reports.analysis.aggregate import Scores, keep_first_frames
-from reports.analysis.comparability import check_comparable, split_by_device
-from reports.analysis.intervals import BOOTSTRAP_SAMPLES
-from reports.analysis.multiplicity import correct_by_holm, difference_notes
-from reports.analysis.network_sizes import at_equal_latency
-from reports.analysis.variant_differences import differences
-from reports.analysis.verdicts import VERDICT_NOTE
-from reports.layout.page import Section, write_page
+from reports.analysis.differences import (
+    VERDICT_NOTE,
+    correct_by_holm,
+    difference_notes,
+    subtract_base,
+)
+from reports.analysis.equal_time import at_equal_latency
+from reports.analysis.scores import Scores, keep_first_frames
+from reports.layout.page import Section, write_report
 from reports.layout.tables import (
     UNRELIABLE_MARK,
     UNRELIABLE_MEANING,
+    Record,
     Table,
     format_difference,
-    format_samples,
-    pivot_by_budget,
+    pivot,
 )
 from rlbench.benchmark.results import MissingRowsError
-
-__all__ = ["BASE", "PARTS", "write"]
 
 BASE = "ours"
 PARTS = {  # row: what BASE has and the row lacks, or has in its place
@@ -41,41 +41,31 @@ PARTS = {  # row: what BASE has and the row lacks, or has in its place
 SAMPLES, TIME, FIRST = "equal samples", "equal time", "first frame"
 
 
-def write(
-    results: pd.DataFrame,
-    folder: Path,
-    name: str = "parts",
-    seed: int = 0,
-    draws: int = BOOTSTRAP_SAMPLES,
-) -> list[Path]:
-    """Write `name`.md, .csv and .tex: the rows of `PARTS` minus `ours`, one section per device.
+def write(results: pd.DataFrame, folder: Path, name: str = "parts") -> list[Path]:
+    """Write the rows of `PARTS` minus `ours`, see `write_report`.
 
-    Tables of equal time need times and the cost of a sample; without them they are left out. Raises
-    MissingRowsError without scores of ours and of one of these rows on one device.
+    Tables of equal time need times and the cost of a sample; without them they are left out.
     """
     chosen = results[results["method"].isin([BASE, *PARTS])]
-    sections = []
-    for device, rows in split_by_device(chosen).items():
-        scores = Scores(rows, device=device)
-        measured = set(scores.measured["method"])
-        if BASE in measured and len(measured) > 1:
-            check_comparable(rows)
-            sections.append(_section(scores, seed, draws))
-    if not sections:
-        raise MissingRowsError(
-            f"no device has scores of {BASE} and of one of {', '.join(PARTS)}; measure them with "
-            f"rlbench run -m {BASE},{','.join(PARTS)}"
-        )
-    return write_page(folder, name, f"Parts of {BASE}", chosen, sections)
+    missing = (
+        f"no device has scores of {BASE} and of one of {', '.join(PARTS)}; measure them with "
+        f"rlbench run -m {BASE},{','.join(PARTS)}"
+    )
+    if chosen.empty:
+        raise MissingRowsError(missing)
+    return write_report(chosen, folder, name, f"Parts of {BASE}", _section, missing)
 
 
-def _section(scores: Scores, seed: int, draws: int) -> Section:
-    rows = [row for row in PARTS if row in set(scores.measured["method"])]
-    first_frames = Scores(keep_first_frames(scores.measured), device=scores.device)
+def _section(scores: Scores) -> Section | None:
+    measured = set(scores.measured["method"])
+    if BASE not in measured or len(measured) < 2:
+        return None
+    rows = [row for row in PARTS if row in measured]
+    first_frames = replace(scores, rows=keep_first_frames(scores.measured))
     gaps = {
-        SAMPLES: differences(scores, BASE, rows, seed, draws),
-        TIME: _at_equal_time(scores, rows, seed, draws),
-        FIRST: differences(first_frames, BASE, rows, seed, draws),
+        SAMPLES: subtract_base(scores, BASE, rows),
+        TIME: _at_equal_time(scores, rows),
+        FIRST: subtract_base(first_frames, BASE, rows),
     }
     records = correct_by_holm(pd.concat([part.assign(table=k) for k, part in gaps.items()]))
     parts = {title: records[records["table"] == title] for title in gaps}
@@ -101,9 +91,9 @@ def _section(scores: Scores, seed: int, draws: int) -> Section:
     return Section(scores.device, tables, records, lists)
 
 
-def _at_equal_time(scores: Scores, rows: list[str], seed: int, draws: int) -> pd.DataFrame:
+def _at_equal_time(scores: Scores, rows: list[str]) -> pd.DataFrame:
     """Each row in the frame time of BASE; empty without times of BASE and of another row."""
-    found = at_equal_latency(scores, [BASE, *rows], BASE, seed, draws)
+    found = at_equal_latency(scores, [BASE, *rows], BASE)
     if found.empty:
         return found
     others = found[(found["method"] != BASE) & found["spp"].notna()]
@@ -112,17 +102,16 @@ def _at_equal_time(scores: Scores, rows: list[str], seed: int, draws: int) -> pd
 
 def _gap_table(title: str, caption: str, records: pd.DataFrame) -> Table:
     order = [row for row in PARTS if row in set(records["method"])]
-    header, rows = pivot_by_budget(records, format_difference, order)
+    first = f"row: what {BASE} has in its place"
+    header, rows = pivot(records, format_difference, order, first)
     lines = tuple((f"{row[0]}: {PARTS[row[0]]}", *row[1:]) for row in rows)
     caption += f" Below zero: the part of {BASE} that follows the colon pays."
-    return Table(
-        title, caption, (f"row: what {BASE} has in its place", *header[1:]), lines, VERDICT_NOTE
-    )
+    return Table(title, caption, header, lines, VERDICT_NOTE)
 
 
 def _time_tables(scores: Scores, records: pd.DataFrame) -> tuple[Table, Table]:
     order = [row for row in PARTS if row in set(records["method"])]
-    header, rows = pivot_by_budget(records, format_samples, order)
+    header, rows = pivot(records, _format_samples, order, "row")
     columns = ", ".join(
         f"{spp:g} spp: {ms:.1f} ms"
         for spp, ms in sorted(set(zip(records["target_spp"], records["deadline_ms"], strict=True)))
@@ -137,6 +126,12 @@ def _time_tables(scores: Scores, records: pd.DataFrame) -> tuple[Table, Table]:
     )
     caption = (
         f"Samples per pixel of each row in the frame time of {BASE}. After `>=` no larger budget "
-        f"was measured; -: no measured budget fits. {UNRELIABLE_MARK}: {UNRELIABLE_MEANING}."
+        f"was measured; -: no measured budget fits. {UNRELIABLE_MEANING}."
     )
-    return gap_table, Table("Samples at equal time", caption, ("row", *header[1:]), tuple(rows))
+    return gap_table, Table("Samples at equal time", caption, header, rows)
+
+
+def _format_samples(record: Record) -> str:
+    """The samples per pixel of a row of `at_equal_latency`."""
+    mark = UNRELIABLE_MARK * bool(record["unreliable"])
+    return f"{'>= ' * bool(record['is_bound'])}{record['spp']:.2f}{mark}"

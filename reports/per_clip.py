@@ -6,62 +6,52 @@ from pathlib import Path
 
 import pandas as pd
 
-from reports.analysis.aggregate import Scores, mean_over_scenes
-from reports.analysis.comparability import check_comparable, split_by_device
-from reports.analysis.intervals import BOOTSTRAP_SAMPLES, UNKNOWN, mean_with_interval, pair
-from reports.analysis.multiplicity import correct_by_holm, difference_columns, difference_notes
-from reports.analysis.verdicts import VERDICT_NOTE
-from reports.layout.page import Section, write_page
-from reports.layout.tables import Bold, Table, format_difference
-
-__all__ = ["write"]
+from reports.analysis.differences import (
+    VERDICT_NOTE,
+    correct_by_holm,
+    difference_columns,
+    difference_notes,
+)
+from reports.analysis.intervals import UNKNOWN
+from reports.analysis.scores import Scores, mean_over_scenes
+from reports.layout.page import Section, write_report
+from reports.layout.tables import Bold, Table, format_difference, format_number
 
 BASE = "ours"  # the method that others are compared with; the best method if it was not measured
 
 
-def write(
-    results: pd.DataFrame,
-    folder: Path,
-    name: str = "clips",
-    seed: int = 0,
-    draws: int = BOOTSTRAP_SAMPLES,
-) -> list[Path]:
-    """Write `name`.md, .csv and .tex: PSNR of each clip, a table per budget, best methods first.
+def write(results: pd.DataFrame, folder: Path, name: str = "clips") -> list[Path]:
+    """Write PSNR of each clip, a table per budget, best methods first, see `write_report`.
 
     Each table ends with the mean over scenes, and with the difference of each method to `ours` (or
-    to the best method if `ours` was not measured) and its interval. `seed` and `draws` are those of
-    the bootstrap. Raises ReportError if a mean would mix rows that cannot be compared.
+    to the best method if `ours` was not measured) and its interval.
     """
-    sections = []
-    for device, rows in split_by_device(results).items():
-        check_comparable(rows)
-        scores = Scores(rows, device=device)
-        means = mean_over_scenes(scores.scene_means)
-        records = _differences(scores, means, seed, draws)
-        budgets = sorted(set(scores.clip_means["target_spp"]))
-        tables = [_clip_table(scores, means, records, spp) for spp in budgets]
-        lists = {
-            "Differences": difference_notes(records),
-            "Not run": scores.skip_reasons,
-            "Left out of the means": scores.incomplete_groups,
-            "Remarks": scores.remarks,
-        }
-        clips_and_differences = pd.concat([scores.clip_means, records])
-        sections.append(Section(device, tables, clips_and_differences, lists))
-    return write_page(folder, name, "PSNR by clip", results, sections)
+    return write_report(results, folder, name, "PSNR by clip", _section)
 
 
-def _differences(scores: Scores, means: pd.DataFrame, seed: int, draws: int) -> pd.DataFrame:
+def _section(scores: Scores) -> Section:
+    means = mean_over_scenes(scores.scene_means)
+    records = _differences(scores, means)
+    budgets = sorted(set(scores.clip_means["target_spp"]))
+    lists = {
+        "Differences": difference_notes(records),
+        "Not run": scores.skip_reasons,
+        "Left out of the means": scores.incomplete_groups,
+        "Remarks": scores.remarks,
+    }
+    tables = [_clip_table(scores, means, records, spp) for spp in budgets]
+    return Section(scores.device, tables, pd.concat([scores.clip_means, records]), lists)
+
+
+def _differences(scores: Scores, means: pd.DataFrame) -> pd.DataFrame:
     """A record for each method and budget: its difference to BASE, or to the best without BASE."""
-    parts = {key: part for key, part in scores.per_frame.groupby(["method", "target_spp"])}
     records = []
     for spp, part in means.groupby("target_spp"):
         ranked = part.sort_values("value", ascending=False)["method"]
         base = BASE if BASE in set(ranked) else ranked.iloc[0]
         for method in ranked[ranked != base]:
-            gap = mean_with_interval(pair(parts[method, spp], parts[base, spp]), seed, draws)
             keys = {"method": method, "target_spp": spp, "base": base}
-            records.append(keys | difference_columns(gap))
+            records.append(keys | difference_columns(scores.gap(method, base, float(str(spp)))))
     columns = ["method", "target_spp", "base", *difference_columns(UNKNOWN)]
     return correct_by_holm(pd.DataFrame(records, columns=columns))
 
@@ -91,6 +81,6 @@ def _clip_table(
 
 
 def _format_scores(scores: pd.Series) -> list[str]:
+    cells = [format_number(value, ".2f") for value in scores]
     best = scores.max()
-    cells = ["-" if value != value else f"{value:.2f}" for value in scores]
     return [Bold(x) if value == best else x for x, value in zip(cells, scores, strict=True)]

@@ -1,27 +1,14 @@
-"""Numbers printed in the paper: its tables, cost of a sample, memory, deviation between seeds."""
+"""Numbers printed in the paper of `ours`, from `published.toml` beside the method."""
 
 from __future__ import annotations
 
-import tomllib
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cache
 from importlib.resources import files
 
+import msgspec
 import pandas as pd
-
-from rlbench.benchmark.results import MissingRowsError
-
-__all__ = [
-    "NetworkStudy",
-    "NetworkTimes",
-    "Published",
-    "PublishedMemory",
-    "PublishedPoint",
-    "PublishedRow",
-    "no_published_rows",
-    "published",
-]
 
 
 @dataclass(frozen=True)
@@ -44,34 +31,6 @@ class PublishedPoint:
     psnr_db: float
     source: str
     derived: bool = True
-
-
-@dataclass(frozen=True)
-class NetworkTimes:
-    """A row of the paper's study of network sizes: times of inference, and spp in its frame."""
-
-    name: str  # as the paper writes it
-    row: str
-    sampler_ms: float
-    encoder_ms: float
-    denoiser_ms: float
-    total_ms: float
-    spp: float  # samples per pixel in the rest of the frame
-
-
-@dataclass(frozen=True)
-class NetworkStudy:
-    """The paper's study of network sizes on one scene and in one frame time."""
-
-    source: str
-    frame_ms: float
-    sample_ms: float
-    scene: str
-    rows: tuple[NetworkTimes, ...]
-
-    def find(self, row: str) -> NetworkTimes | None:
-        """The published times of the method `row`, or None."""
-        return next((times for times in self.rows if times.row == row), None)
 
 
 @dataclass(frozen=True)
@@ -106,7 +65,6 @@ class Published:
     deviation_db: float  # standard deviation between trainings with different seeds
     deviation_row: str
     trainings: int
-    network_study: NetworkStudy
     memory: PublishedMemory
 
     def find(self, row: str) -> PublishedRow | None:
@@ -124,32 +82,15 @@ class Published:
 
 @cache
 def published() -> Published:
-    """The numbers of `published.toml`. Raises TypeError or KeyError if a field is missing."""
-    document = tomllib.loads((files("reports") / "published.toml").read_text(encoding="utf-8"))
-    table, sampling, seeds = document["table1"], document["sampling"], document["seeds"]
-    study = document["network_study"]
-    sizes = tuple(NetworkTimes(**row) for row in study.pop("rows"))
-    return Published(
-        title=document["title"],
-        conditions=document["conditions"],
-        source=table["source"],
-        spp=table["spp"],
-        table=tuple(PublishedRow(**row) for row in table["rows"]),
-        derived=tuple(PublishedPoint(**point) for point in document["derived"]),
-        sample_ms=sampling["mean_ms"],
-        scene_ms=sampling["scene_ms"],
-        deviation_db=seeds["deviation_db"],
-        deviation_row=seeds["row"],
-        trainings=seeds["trainings"],
-        network_study=NetworkStudy(rows=sizes, **study),
-        memory=PublishedMemory(**document["memory"]),
-    )
+    """The numbers of the paper. Raises msgspec.ValidationError if a field is missing."""
+    file = files("methods") / "ours" / "published.toml"
+    return msgspec.toml.decode(file.read_bytes(), type=Published)
 
 
-def no_published_rows(results: pd.DataFrame, metric: str) -> MissingRowsError:
-    """The error for results in which no device has a method of the paper on every scene."""
+def no_published_rows(results: pd.DataFrame) -> str:
+    """The message for results in which no device has a method of the paper on every scene."""
     methods = ", ".join(sorted(set(results["method"]))) or "none"
-    return MissingRowsError(
-        f"no method of the paper has {metric} on every scene; methods in the results: {methods}. "
+    return (
+        f"no method of the paper has psnr on every scene; methods in the results: {methods}. "
         "Measure the paper's with rlbench run --methods all"
     )

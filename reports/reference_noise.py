@@ -2,111 +2,87 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 
 import pandas as pd
 
-from reports.analysis.aggregate import HEADLINE, Scores, mean_over_scenes
-from reports.analysis.comparability import check_comparable, split_by_device
-from reports.analysis.intervals import BOOTSTRAP_SAMPLES, UNKNOWN, mean_with_interval, pair
-from reports.analysis.multiplicity import correct_by_holm, difference_columns, difference_notes
-from reports.analysis.verdicts import VERDICT_NOTE
-from reports.layout.page import Section, write_page
+from reports.analysis.differences import (
+    VERDICT_NOTE,
+    correct_by_holm,
+    difference_columns,
+    difference_notes,
+)
+from reports.analysis.intervals import UNKNOWN
+from reports.analysis.scores import HEADLINE, Scores, mean_over_scenes
+from reports.layout.page import Section, write_report
 from reports.layout.tables import Table, format_difference, rank_rows
-from rlbench.benchmark.results import NOISE_CEILING, MissingRowsError
-
-__all__ = ["clip_ceilings", "measure_leads", "write"]
+from rlbench.benchmark.results import NOISE_CEILING
 
 PLAIN, DEBIASED = HEADLINE
 BASE = "ours"  # whose leads are measured; those of the best method where it was not measured
+LEADS = ["metric", "method", "target_spp", "base", "mean", *difference_columns(UNKNOWN)]
 
 
-def write(
-    results: pd.DataFrame,
-    folder: Path,
-    name: str = "reference-noise",
-    seed: int = 0,
-    draws: int = BOOTSTRAP_SAMPLES,
-) -> list[Path]:
-    """Write `name`.md, .csv and .tex: PSNR beside debiased PSNR, and the noise ceiling of clips.
-
-    `seed` and `draws` are those of the bootstrap. Raises MissingRowsError if no method has both
-    scores, and ReportError if a mean would mix rows that cannot be compared.
-    """
-    sections = []
-    for device, rows in split_by_device(results).items():
-        check_comparable(rows)
-        leads = correct_by_holm(measure_leads(rows, device, seed, draws))
-        if leads.empty:
-            continue
-        clips = clip_ceilings(rows)
-        budgets = sorted(set(leads["target_spp"]))
-        tables = [_lead_table(leads[leads["target_spp"] == spp], spp) for spp in budgets]
-        tables += [_ceiling_table(clips)] if len(clips) else []
-        records = pd.concat([leads, clips])
-        sections.append(Section(device, tables, records, {"Differences": difference_notes(leads)}))
-    if not sections:
-        raise MissingRowsError(
-            "no method has psnr and psnr_debiased, which needs clips with two independent halves "
-            "of the reference; rlbench run scores both"
-        )
-    return write_page(folder, name, "Noise of the references", results, sections)
+def write(results: pd.DataFrame, folder: Path, name: str = "reference-noise") -> list[Path]:
+    """Write PSNR beside debiased PSNR, and the noise ceiling of clips, see `write_report`."""
+    missing = (
+        "no method has psnr and psnr_debiased, which needs clips with two independent halves "
+        "of the reference; rlbench run scores both"
+    )
+    return write_report(results, folder, name, "Noise of the references", _section, missing)
 
 
-def clip_ceilings(rows: pd.DataFrame) -> pd.DataFrame:
+def _section(scores: Scores) -> Section | None:
+    leads = correct_by_holm(measure_leads(scores))
+    if leads.empty:
+        return None
+    clips = clip_ceilings(scores)
+    tables = [_lead_table(part, spp) for spp, part in leads.groupby("target_spp")]
+    tables += [_ceiling_table(clips)] if len(clips) else []
+    lists = {"Differences": difference_notes(leads)}
+    return Section(scores.device, tables, pd.concat([leads, clips]), lists)
+
+
+def clip_ceilings(scores: Scores) -> pd.DataFrame:
     """Columns scene, clip, ceiling, best and best_method, in dB, means over the frames of a clip.
 
     `best` is the highest PSNR of any method at any budget. Clips whose header names no noise
     ceiling are left out.
     """
-    stated = rows[(rows["metric"] == NOISE_CEILING) & rows["value"].notna()]
+    stated = replace(scores, metric=NOISE_CEILING).measured
     frames = stated.drop_duplicates(["scene", "clip", "frame"])
     ceilings = frames.groupby(["scene", "clip"])["value"].mean().rename("ceiling").reset_index()
-    means = Scores(rows, PLAIN).clip_means.sort_values("value", ascending=False)
+    means = scores.clip_means.sort_values("value", ascending=False)
     best = means.drop_duplicates("clip").rename(columns={"value": "best", "method": "best_method"})
     return ceilings.merge(best[["clip", "best", "best_method"]], on="clip", how="left")
 
 
-def measure_leads(
-    rows: pd.DataFrame, device: str = "", seed: int = 0, draws: int = BOOTSTRAP_SAMPLES
-) -> pd.DataFrame:
+def measure_leads(scores: Scores) -> pd.DataFrame:
     """A record of each metric, method and budget: its mean, and the lead of a base over it.
 
     The base is `ours`, or the best method by PSNR where `ours` has no score at that budget. Columns
     metric, method, target_spp, base, mean, and those of `difference_columns`.
     """
-    scores = {metric: Scores(rows, metric, device) for metric in HEADLINE}
-    means = {metric: mean_over_scenes(each.scene_means) for metric, each in scores.items()}
-    both = means[PLAIN].merge(means[DEBIASED][["method", "target_spp"]])
-    records = [
-        record
-        for _, ranked in both.sort_values("value", ascending=False).groupby("target_spp")
-        for metric in HEADLINE
-        for record in _leads_at(scores[metric], means[metric], ranked, seed, draws)
-    ]
-    columns = ["metric", "method", "target_spp", "base", "mean", *difference_columns(UNKNOWN)]
-    return pd.DataFrame(records, columns=columns)
+    parts = {metric: replace(scores, metric=metric) for metric in HEADLINE}
+    keys = ["method", "target_spp"]
+    means = {m: mean_over_scenes(each.scene_means).set_index(keys) for m, each in parts.items()}
+    both = means[PLAIN].join(means[DEBIASED], rsuffix="_debiased", how="inner").reset_index()
+    records = []
+    for spp, ranked in both.sort_values("value", ascending=False).groupby("target_spp"):
+        methods = list(ranked["method"])
+        base = BASE if BASE in methods else methods[0]
+        for metric in HEADLINE:
+            for method in methods:
+                is_base = method == base
+                gap = UNKNOWN if is_base else parts[metric].gap(base, method, float(str(spp)))
+                mean = float(means[metric].loc[(method, spp), "value"])
+                named = {"metric": metric, "method": method, "target_spp": spp, "base": base}
+                records.append(named | {"mean": mean} | difference_columns(gap))
+    return pd.DataFrame(records, columns=LEADS)
 
 
-def _leads_at(
-    scores: Scores, means: pd.DataFrame, ranked: pd.DataFrame, seed: int, draws: int
-) -> Iterator[dict[str, object]]:
-    """The records of one metric and budget; `ranked` has the methods, best first."""
-    methods, spp = list(ranked["method"]), ranked["target_spp"].iloc[0]
-    base = BASE if BASE in methods else methods[0]
-    at = means[means["target_spp"] == spp].set_index("method")["value"]
-    frames = scores.per_frame[scores.per_frame["target_spp"] == spp]
-    parts = {name: part for name, part in frames.groupby("method")}
-    for method in methods:
-        keys = {"metric": scores.metric, "method": method, "target_spp": spp, "base": base}
-        gap = UNKNOWN
-        if method != base:
-            gap = mean_with_interval(pair(parts[base], parts[method]), seed, draws)
-        yield keys | {"mean": float(at[method])} | difference_columns(gap)
-
-
-def _lead_table(leads: pd.DataFrame, spp: float) -> Table:
+def _lead_table(leads: pd.DataFrame, spp: object) -> Table:
     cells = {(row["method"], row["metric"]): row for row in leads.to_dict("records")}
     base = leads["base"].iloc[0]
     rows = []
@@ -121,8 +97,8 @@ def _lead_table(leads: pd.DataFrame, spp: float) -> Table:
         "independent halves a and b of the reference, whose noise PSNR counts as error. "
         f"{VERDICT_NOTE}"
     )
-    return Table(f"PSNR with and without the reference's noise at {spp:g} spp", "", header,
-                 tuple(rows), note)  # fmt: skip
+    title = f"PSNR with and without the reference's noise at {spp:g} spp"
+    return Table(title, "", header, tuple(rows), note)
 
 
 def _ceiling_table(clips: pd.DataFrame) -> Table:

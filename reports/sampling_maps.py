@@ -6,33 +6,36 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-import matplotlib as mpl
 import numpy as np
 import pandas as pd
 from matplotlib.figure import Figure
 from scipy import ndimage, stats
 
-from reports.analysis.image_errors import Floats, decibels, squared_error
-from reports.analysis.shown_rows import first_of_scenes, select_images
-from reports.layout import style
+from reports.analysis.images import (
+    Floats,
+    ShownClip,
+    decibels,
+    first_of_scenes,
+    select_images,
+    squared_error,
+)
+from reports.layout.files import write_figure
 from reports.layout.image_grid import (
-    PERCENTILE,
+    FOOTER,
     add_caption,
     add_colour_bar,
     draw_map,
     draw_picture,
+    end_of_scale,
     hide_axes,
 )
 from reports.layout.page import describe_clips
-from reports.viewer.pictures import ShownClip
 from rlbench.benchmark.results import MissingRowsError
-
-__all__ = ["SampledFrame", "draw_sampling", "find_samples", "is_uniform", "write"]
 
 USUAL = ("ours", "ours/A1", "ntas")
 MAX_ROWS, MAX_SCENES = 3, 4
 WINDOW = 9  # pixels across; error and samples are compared as means of such windows
-WIDTH, TITLES, FOOTER = 13.0, 0.52, 1.35  # inches
+WIDTH, TITLES = 13.0, 0.52  # inches
 
 
 @dataclass(frozen=True, eq=False)
@@ -69,11 +72,8 @@ def write(
     MissingRowsError where all sample uniformly.
     """
     frames = [find_samples(clip, methods) for clip in first_of_scenes(clips, MAX_SCENES)]
-    with mpl.rc_context(style.RC):
-        files = style.save_figure(draw_sampling(frames, describe_clips(results)), folder, name)
-    table = folder / f"{name}.csv"
-    pd.DataFrame([row for frame in frames for row in _describe(frame)]).to_csv(table, index=False)
-    return [*files, table]
+    table = pd.DataFrame([row for frame in frames for row in _describe(frame)])
+    return write_figure(lambda: draw_sampling(frames, describe_clips(results)), folder, name, table)
 
 
 def find_samples(clip: ShownClip, methods: Sequence[str] = ()) -> SampledFrame:
@@ -117,8 +117,8 @@ def draw_sampling(frames: Sequence[SampledFrame], clips: str) -> Figure:
     )  # fmt: skip
     for axes in grid.flat:
         hide_axes(axes)
-    most = _end_of_scale(*(counts for frame in frames for counts in frame.counts.values()))
-    limit = _end_of_scale(*(np.sqrt(e) for frame in frames for e in frame.errors.values()))
+    most = end_of_scale(counts for frame in frames for counts in frame.counts.values())
+    limit = end_of_scale(np.sqrt(e) for frame in frames for e in frame.errors.values())
     for panels, frame in zip(grid, frames, strict=True):
         draw_picture(panels[0], frame.reference, f"{frame.clip}, frame {frame.frame}\nreference")
         for index, (method, counts) in enumerate(frame.counts.items()):
@@ -131,10 +131,9 @@ def draw_sampling(frames: Sequence[SampledFrame], clips: str) -> Figure:
             error = frame.errors[method]
             text = f"{method}\nerror: {decibels(float(error.mean())):.2f} dB"
             drawn = draw_map(erred, np.sqrt(error), text, cmap="magma", vmin=0, vmax=limit)
-    bottom, thick = (FOOTER - 0.3) / height, 0.14 / height
-    add_colour_bar(figure, samples, "samples per pixel", (0.16, bottom, 0.34, thick), "max")
+    add_colour_bar(figure, samples, "samples per pixel", (0.16, 0.34), "max")
     label = "root of the squared error in sRGB, mean over channels"
-    add_colour_bar(figure, drawn, label, (0.6, bottom, 0.34, thick), "max")
+    add_colour_bar(figure, drawn, label, (0.6, 0.34), "max")
     add_caption(
         figure,
         f"{frames[0].target_spp:g} spp, {clips}; last frame of each clip. All panels of samples "
@@ -142,11 +141,6 @@ def draw_sampling(frames: Sequence[SampledFrame], clips: str) -> Figure:
         f"correlation of samples and squared error, as means of {WINDOW}x{WINDOW} pixels.",
     )
     return figure
-
-
-def _end_of_scale(*maps: Floats) -> float:
-    values = np.concatenate([each.ravel() for each in maps])
-    return float(np.percentile(values, PERCENTILE)) or float(values.max()) or 1.0
 
 
 def _describe(frame: SampledFrame) -> list[dict[str, object]]:

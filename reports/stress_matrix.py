@@ -8,24 +8,40 @@ from __future__ import annotations
 
 import argparse
 from collections.abc import Hashable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import pandas as pd
+from matplotlib.patches import Rectangle
 
-from reports.layout.verdict_grid import MARKS, Cell, draw_grid
+from reports.layout.files import drawn_png
+from reports.layout.style import BLACK
+from reports.layout.tables import escape_bars, pipe_table
 
-__all__ = ["Matrix", "main", "read_results", "small_table", "write_page"]
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
 
 SUITE = "suite"  # row of the sections that concern no method
 ORDER = ("failed", "degraded", "passed", "skipped")  # the worst first
 BAD_PIXEL = "bad-pixel"  # section with a planted fault per test
 COMMAND = "make stress"
+MARKS = {"passed": "✓", "degraded": "!", "failed": "✗", "skipped": "–"}  # noqa: RUF001
+# a light blue, a medium orange, a dark red: distinct for colour-blind readers and in grey
+FILLS = {"passed": "#C5E3F3", "degraded": "#F0A830", "failed": "#9E2A0B", "skipped": "#F2F2F2"}
+INK = {"passed": BLACK, "degraded": BLACK, "failed": "#FFFFFF", "skipped": "#777777"}
+ROW_HEIGHT, NARROW, WIDE = 0.27, 0.27, 0.95  # inches; a wide column holds a count too
+MIN_WIDTH = 4.0  # inches, of all columns: the key below them needs it
+LABEL_WIDTH, HEAD_HEIGHT = 2.1, 1.7  # inches, of the names of rows and columns
 
 
-@dataclass(frozen=True)
-class Matrix:
+class Cell(NamedTuple):
+    """The verdict of a cell, and a text after its mark."""
+
+    verdict: str
+    text: str = ""
+
+
+class Matrix(NamedTuple):
     """Results of `rlbench stress`, one row a test, methods and sections in their order."""
 
     results: pd.DataFrame
@@ -84,24 +100,16 @@ def write_page(matrix: Matrix, folder: Path) -> list[Path]:
     pairs = [(method, section) for method in matrix.methods for section in sections]
     cells = {pair: cell for pair in pairs if (cell := matrix.summary(*pair))}
     draw_grid(cells, matrix.methods, sections, "Stress tests passed", overview)
-    pictures = [_draw_section(matrix, section, folder) for section in sections]
+    pictures = []
+    for section in sections:
+        rows = matrix.of_section(section)
+        keys = zip(rows["method"], rows["test"], strict=True)
+        marked = dict(zip(keys, map(Cell, rows["verdict"]), strict=True))
+        pictures.append(folder / f"stress-{section}.png")
+        tests = list(dict.fromkeys(rows["test"]))
+        draw_grid(marked, matrix.methods, tests, f"Section {section}", pictures[-1])
     page.write_text("\n".join(_page(matrix)), encoding="utf-8")
     return [page, overview, *pictures]
-
-
-def _draw_section(matrix: Matrix, section: str, folder: Path) -> Path:
-    """The picture of a section: methods by tests."""
-    rows = matrix.of_section(section)
-    keys = zip(rows["method"], rows["test"], strict=True)
-    cells = dict(zip(keys, map(Cell, rows["verdict"]), strict=True))
-    tests = list(dict.fromkeys(rows["test"]))
-    file = folder / _picture(section)
-    draw_grid(cells, matrix.methods, tests, f"Section {section}", file)
-    return file
-
-
-def _picture(section: str) -> str:
-    return f"stress-{section}.png"
 
 
 def _page(matrix: Matrix) -> Iterator[str]:
@@ -115,7 +123,7 @@ def _page(matrix: Matrix) -> Iterator[str]:
         yield small_table(matrix, [SUITE], is_suite=True)
     for section in matrix.sections():
         yield f"## {section}\n"
-        yield f"![Verdict of each method in each test of {section}]({_picture(section)})\n"
+        yield f"![Verdict of each method in each test of {section}](stress-{section}.png)\n"
         yield _list_faults(matrix.of_section(section))
     for section in matrix.sections(is_suite=True):
         yield f"## {section}\n"
@@ -148,9 +156,7 @@ def _list_faults(rows: pd.DataFrame) -> str:
 
 
 def _format_table(head: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
-    lines = [head, ["---"] * len(head), *rows]
-    escaped = ([cell.replace("|", "\\|") for cell in line] for line in lines)
-    return "".join(f"| {' | '.join(line)} |\n" for line in escaped)
+    return pipe_table(head, [list(map(escape_bars, row)) for row in rows], numbers=False)
 
 
 def _format_figure(row: Mapping[Hashable, Any]) -> str:
@@ -162,6 +168,50 @@ def _format_figure(row: Mapping[Hashable, Any]) -> str:
 
 def _format_cell(cell: Cell | None) -> str:
     return f"{MARKS[cell.verdict]} {cell.text}".strip() if cell else ""
+
+
+def draw_grid(
+    cells: Mapping[tuple[str, str], Cell],
+    rows: Sequence[str],
+    columns: Sequence[str],
+    title: str,
+    file: Path,
+) -> None:
+    """Write a PNG with a coloured and marked cell for each (row, column); others stay empty."""
+    width = WIDE if any(cell.text for cell in cells.values()) else NARROW
+    size = (
+        LABEL_WIDTH + max(MIN_WIDTH, width * len(columns)) + 0.9,
+        HEAD_HEIGHT + ROW_HEIGHT * len(rows) + 0.5,
+    )
+    with drawn_png(file, size, 110) as figure:
+        axes: Axes = figure.subplots()
+        for (row, column), cell in cells.items():
+            _draw_cell(axes, columns.index(column), rows.index(row), cell)
+        _label(axes, rows, columns)
+        axes.set_title(title, loc="left", pad=12)
+        key = "   ".join(f"{mark} {name}" for name, mark in MARKS.items())
+        axes.set_xlabel(key, loc="left", labelpad=8)
+
+
+def _draw_cell(axes: Axes, x: int, y: int, cell: Cell) -> None:
+    fill = FILLS[cell.verdict]
+    axes.add_patch(Rectangle((x, y), 1, 1, facecolor=fill, edgecolor="white", linewidth=1.5))
+    text = f"{MARKS[cell.verdict]} {cell.text}".strip()
+    axes.text(
+        x + 0.5, y + 0.5, text, color=INK[cell.verdict], ha="center", va="center", fontsize=10
+    )
+
+
+def _label(axes: Axes, rows: Sequence[str], columns: Sequence[str]) -> None:
+    axes.set_xlim(0, len(columns))
+    axes.set_ylim(len(rows), 0)
+    axes.set_xticks([x + 0.5 for x in range(len(columns))], columns, rotation=60, ha="left")
+    axes.set_yticks([y + 0.5 for y in range(len(rows))], rows)
+    axes.tick_params(length=0, labeltop=True, labelbottom=False)
+    axes.tick_params(axis="x", pad=-1)
+    axes.grid(visible=False)
+    for spine in axes.spines.values():
+        spine.set_visible(False)
 
 
 def main(results: Path, folder: Path) -> None:

@@ -3,80 +3,83 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Hashable, Mapping
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
 
+import numpy as np
 import pandas as pd
+from numpy.typing import NDArray
+from scipy import stats
 
-from reports.analysis import notes
-from reports.analysis.aggregate import Scores
-from reports.analysis.comparability import check_comparable, split_by_device
-from reports.analysis.correlation import RankCorrelation, kendall_tau
-from reports.analysis.intervals import (
-    BOOTSTRAP_SAMPLES,
-    UNKNOWN,
-    mean_with_interval,
-    pair,
+from reports.analysis.differences import (
+    VERDICT_NOTE,
+    correct_by_holm,
+    difference_columns,
+    difference_notes,
 )
-from reports.analysis.method_names import label_of
-from reports.analysis.multiplicity import correct_by_holm, difference_columns, difference_notes
-from reports.analysis.verdicts import VERDICT_NOTE
-from reports.layout.page import Section, write_page
+from reports.analysis.intervals import UNKNOWN
+from reports.analysis.rows import label_of
+from reports.analysis.scores import Scores
+from reports.layout.page import Section, write_report
 from reports.layout.tables import (
-    UNRELIABLE_MARK,
     UNRELIABLE_MEANING,
+    Record,
     Table,
     format_difference,
     format_ms,
+    format_number,
 )
 from reports.published import no_published_rows, published
 
-__all__ = ["compare_with_paper", "rank_correlation", "write"]
-
 STRONG_DB = 2.0  # below the best of the paper; weaker rows are in order whatever the rest does
-
 BASE = "ours"  # the method that all others are compared with
 PAPER_BASE = "ours/latent"  # the same in the paper
-METRIC = "psnr"
-Record = Mapping[Hashable, Any]  # a row of `compare_with_paper`
+MAX_PERMUTATIONS = 10_000  # all orders are counted if there are at most so many, else drawn
+BATCH = 1_000  # orders that are in memory at once
 WARNING = (
     "The paper's columns and ours cannot be compared with each other, only the order of their "
     "rows: scenes, resolution and device differ, and our samples are not display-referred."
 )
 
 
-def write(
-    results: pd.DataFrame,
-    folder: Path,
-    name: str = "table1",
-    seed: int = 0,
-    draws: int = BOOTSTRAP_SAMPLES,
-) -> list[Path]:
-    """Write `name`.md, .csv and .tex with a section for each device, and return the files.
-
-    Raises MissingRowsError if no method of the paper's table was measured, and ReportError if a
-    mean would mix rows that cannot be compared.
-    """
-    sections = []
-    for device, rows in split_by_device(results).items():
-        check_comparable(rows)
-        # rows with a label ran with other weights or in another precision
-        scores = Scores(rows[rows["method"].map(label_of) == ""], METRIC, device)
-        records = compare_with_paper(scores, seed, draws)
-        if not any(published().find(method) for method in records.get("method", ())):
-            continue
-        table = _table(scores, records, _orders_text(records, seed, draws))
-        sections.append(Section(device, [table], records, _lists(scores, records, rows)))
-    if not sections:
-        raise no_published_rows(results, METRIC)
+def write(results: pd.DataFrame, folder: Path, name: str = "table1") -> list[Path]:
+    """Write the page, see `write_report`; without a method of the paper MissingRowsError."""
     title = f"Table 1 of {published().title}, measured again"
-    return write_page(folder, name, title, results, sections)
+    missing = no_published_rows(results)
+    return write_report(results, folder, name, title, _section, missing)
 
 
-def compare_with_paper(
-    scores: Scores, seed: int = 0, draws: int = BOOTSTRAP_SAMPLES
-) -> pd.DataFrame:
+def _section(everything: Scores) -> Section | None:
+    rows = everything.rows
+    # rows with a label ran with other weights or in another precision
+    scores = replace(everything, rows=rows[rows["method"].map(label_of) == ""])
+    records = compare_with_paper(scores)
+    if not any(published().find(method) for method in records.get("method", ())):
+        return None
+    paper, methods = published(), set(records["method"])
+    missing = [] if BASE in methods else [f"differences: '{BASE}' was not measured on every scene"]
+    if paper.spp not in set(records["target_spp"]):
+        missing.append(f"{paper.spp:g} spp, the paper's budget")
+    lists = {
+        "Differences": difference_notes(records),
+        "Published rows that were not measured": [
+            f"{p.name}, in rlbench {p.row}" for p in paper.table if p.row not in methods
+        ],
+        "Not measured": missing,
+        "Differences from the paper's rows": [
+            f"{p.row}: {p.note}" for p in paper.table if p.note and p.row in methods
+        ],
+        "Left out of the means": scores.incomplete_groups,
+        "Left out: other weights or precision": sorted({m for m in rows["method"] if label_of(m)}),
+        "Not run": everything.skip_reasons,
+        "Unreliable times": scores.unreliable_times,
+        "Remarks": everything.remarks,
+    }
+    return Section(scores.device, [_table(scores, records)], records, lists)
+
+
+def compare_with_paper(scores: Scores) -> pd.DataFrame:
     """The mean over scenes of each method and budget, and the published numbers beside it.
 
     `difference` is the mean of the paired differences to `ours` at that budget, `low` and `high`
@@ -84,66 +87,44 @@ def compare_with_paper(
     of the paper's table only.
     """
     means = scores.overall
-    frames = scores.per_frame.merge(means[["method", "target_spp"]], on=["method", "target_spp"])
-    parts = {key: part for key, part in frames.groupby(["method", "target_spp"])}
+    measured = set(zip(means["method"], means["target_spp"], strict=True))
     records = []
     for row in means.to_dict("records"):
-        method, spp, gap = row["method"], row["target_spp"], UNKNOWN
-        if method != BASE and (BASE, spp) in parts:
-            pairs = pair(parts[method, spp], parts[BASE, spp])
-            gap = mean_with_interval(pairs, seed, draws)
+        method, spp = row["method"], row["target_spp"]
+        is_compared = method != BASE and (BASE, spp) in measured
+        printed = published().find(method)
+        at_budget = printed if spp == published().spp else None
         records.append(
             {
                 "method": method,
                 "target_spp": spp,
-                METRIC: row["value"],
-                **difference_columns(gap),
+                "psnr": row["value"],
+                **difference_columns(scores.gap(method, BASE, spp) if is_compared else UNKNOWN),
                 "inference_ms": row["inference_ms"],
                 "unreliable": row["unreliable"],
-                **_published_columns(method, spp),
+                "published_name": printed.name if printed else "",
+                "published_psnr": at_budget.psnr_db if at_budget else math.nan,
+                "published_ms": at_budget.inference_ms if at_budget else math.nan,
             }
         )
     return correct_by_holm(pd.DataFrame(records)) if records else pd.DataFrame()
 
 
-def rank_correlation(
-    records: pd.DataFrame,
-    seed: int = 0,
-    draws: int = BOOTSTRAP_SAMPLES,
-    within_db: float = math.inf,
-) -> RankCorrelation:
-    """Rank correlation of published and measured PSNR, over the rows that have both.
-
-    `within_db` selects strong rows: those that the paper places at most so far below its best.
-    """
-    both = records[records["published_psnr"].notna()]
-    both = both[both["published_psnr"] >= both["published_psnr"].max() - within_db]
-    return kendall_tau(list(both["published_psnr"]), list(both[METRIC]), seed, draws)
-
-
-def _published_columns(method: str, spp: float) -> dict[str, object]:
-    row = published().find(method)
-    at_budget = row is not None and spp == published().spp
-    return {
-        "published_name": row.name if row else "",
-        "published_psnr": row.psnr_db if row and at_budget else math.nan,
-        "published_ms": row.inference_ms if row and at_budget else math.nan,
-    }
-
-
-def _table(scores: Scores, records: pd.DataFrame, orders: str) -> Table:
+def _table(scores: Scores, records: pd.DataFrame) -> Table:
     paper = published()
     budgets = sorted(set(records["target_spp"]))
     cells = {(row["method"], row["target_spp"]): row for row in records.to_dict("records")}
+    psnr = {key: row["psnr"] for key, row in cells.items()}
+    order = [row.row for row in paper.table]
+    methods = set(records["method"])
     rows = tuple(
         (
             method,
-            *(_format_number(cells.get((method, spp)), METRIC, ".2f") for spp in budgets),
-            _format_gap(cells.get((method, paper.spp))),
-            _format_inference(cells.get((method, paper.spp))),
+            *(format_number(psnr.get((method, spp), math.nan), ".2f") for spp in budgets),
+            *_difference_and_time(cells.get((method, paper.spp))),
             *_published_cells(method),
         )
-        for method in _in_published_order(records)
+        for method in [row for row in order if row in methods] + sorted(methods - set(order))
     )
     header = (
         "method",
@@ -156,80 +137,103 @@ def _table(scores: Scores, records: pd.DataFrame, orders: str) -> Table:
     )
     caption = (
         f"PSNR in dB ({scores.convention}), mean over scenes; inference = plan + allocate + "
-        f"denoise, on {scores.device_name}; {UNRELIABLE_MARK}: {UNRELIABLE_MEANING}. "
+        f"denoise, on {scores.device_name}; {UNRELIABLE_MEANING}. "
         f"{VERDICT_NOTE} Paper: {paper.title}, {paper.source}; {paper.conditions}. "
-        f"{WARNING} " + orders
+        f"{WARNING} {_orders_text(records)}"
     )
     return Table(f"Table 1 of {paper.title}, measured and published", caption, header, rows)
+
+
+def _difference_and_time(row: Record | None) -> tuple[str, str]:
+    if row is None:
+        return "-", "-"
+    gap = "-" if pd.isna(row["difference"]) else format_difference(row)
+    return gap, format_ms(row["inference_ms"], row["unreliable"])
 
 
 def _published_cells(method: str) -> tuple[str, str, str]:
     row, base = published().find(method), published().find(PAPER_BASE)
     if row is None:
-        return ("-", "-", "-")
+        return "-", "-", "-"
     gap = f"{row.psnr_db - base.psnr_db:+.1f}" if base and row is not base else "-"
-    return (f"{row.psnr_db:.1f}", gap, f"{row.inference_ms:.1f}")
+    return f"{row.psnr_db:.1f}", gap, f"{row.inference_ms:.1f}"
 
 
-def _orders_text(records: pd.DataFrame, seed: int, draws: int) -> str:
+def _orders_text(records: pd.DataFrame) -> str:
     """How far paper and measurement agree on the order of all rows, and of strong rows alone."""
-    everything = rank_correlation(records, seed, draws)
+    everything = rank_correlation(records)
     if math.isnan(everything.tau):
         return f"The orders were not compared: {everything.rows} rows are in both."
-    text = f"Order of the {everything.rows} rows that are in both, at {published().spp:g} spp: "
-    text += _correlation_text(everything)
-    strong = rank_correlation(records, seed, draws, STRONG_DB)
+    text = (
+        f"Order of the {everything.rows} rows that are in both, at {published().spp:g} spp: "
+        f"{everything}"
+    )
+    strong = rank_correlation(records, STRONG_DB)
     if not math.isnan(strong.tau) and strong.rows < everything.rows:
-        text += (
-            f"; of the {strong.rows} that the paper places within {STRONG_DB:g} dB of its best: "
-        )
-        text += _correlation_text(strong)
+        best = f"the paper places within {STRONG_DB:g} dB of its best"
+        text += f"; of the {strong.rows} that {best}: {strong}"
     return f"{text} (permutation tests)."
 
 
-def _correlation_text(correlation: RankCorrelation) -> str:
-    return f"Kendall's tau-b {correlation.tau:.2f}, p {correlation.p_value:.2g}"
+@dataclass(frozen=True)
+class RankCorrelation:
+    """Kendall's tau-b of two sets of scores and its p-value."""
+
+    tau: float  # in [-1, 1]; nan with fewer than two rows, or where all scores of a set are equal
+    p_value: float  # two-sided, of the permutation test, in (0, 1]
+    rows: int
+
+    def __str__(self) -> str:
+        """For captions."""
+        return f"Kendall's tau-b {self.tau:.2f}, p {self.p_value:.2g}"
 
 
-def _in_published_order(records: pd.DataFrame) -> list[str]:
-    """Methods in the order of the paper's table, then the others by name."""
-    order = [row.row for row in published().table]
-    methods = set(records["method"])
-    return [row for row in order if row in methods] + sorted(methods - set(order))
+def rank_correlation(records: pd.DataFrame, within_db: float = math.inf) -> RankCorrelation:
+    """Rank correlation of published and measured PSNR, over the rows that have both.
+
+    `within_db` selects strong rows: those that the paper places at most so far below its best.
+    """
+    both = records[records["published_psnr"].notna()]
+    both = both[both["published_psnr"] >= both["published_psnr"].max() - within_db]
+    return kendall_tau(list(both["published_psnr"]), list(both["psnr"]))
 
 
-def _format_number(row: Record | None, column: str, number_format: str) -> str:
-    return "-" if row is None or pd.isna(row[column]) else format(row[column], number_format)
+def kendall_tau(
+    first: Sequence[float], second: Sequence[float], draws: int = MAX_PERMUTATIONS
+) -> RankCorrelation:
+    """Kendall's tau-b (Kendall 1945, The Treatment of Ties) of two scores of the same rows.
+
+    The p-value is the share of orders of `second` whose tau is at least as far from zero: of all
+    orders if there are at most `draws`, else of `draws` random orders and the given one, so that it
+    is never zero (Phipson and Smyth 2010, Permutation P-values Should Never Be Zero).
+    """
+    count = len(first)
+    tau = float(stats.kendalltau(first, second).statistic) if count > 1 else math.nan
+    if math.isnan(tau):
+        return RankCorrelation(math.nan, math.nan, count)
+    signs = _difference_signs(np.asarray(first, float))
+
+    def concordance(orders: NDArray[np.float64], axis: int) -> NDArray[np.float64]:
+        """Distance of tau from zero, up to a factor that no order changes: a whole number."""
+        pairs = _difference_signs(np.moveaxis(orders, axis, -1))
+        distances: NDArray[np.float64] = np.abs(np.einsum("ij,...ij", signs, pairs))
+        return distances
+
+    # scipy's own two-sided p doubles one tail, which is another number where there are ties
+    test = stats.permutation_test(
+        (np.asarray(second, float),),
+        concordance,
+        permutation_type="pairings",
+        alternative="greater",
+        vectorized=True,
+        n_resamples=draws,
+        batch=BATCH,
+        rng=np.random.default_rng(0),
+    )
+    return RankCorrelation(tau, float(test.pvalue), count)
 
 
-def _format_inference(row: Record | None) -> str:
-    return "-" if row is None else format_ms(row["inference_ms"], row["unreliable"])
-
-
-def _format_gap(row: Record | None) -> str:
-    if row is None or pd.isna(row["difference"]):
-        return "-"
-    return format_difference(row)
-
-
-def _lists(scores: Scores, records: pd.DataFrame, rows: pd.DataFrame) -> dict[str, list[str]]:
-    paper, methods = published(), set(records["method"])
-    missing = [] if BASE in methods else [f"differences: '{BASE}' was not measured on every scene"]
-    if paper.spp not in set(records["target_spp"]):
-        missing.append(f"{paper.spp:g} spp, the paper's budget")
-    psnr = rows[rows["metric"] == METRIC]
-    return {
-        "Differences": difference_notes(records),
-        "Published rows that were not measured": [
-            f"{p.name}, in rlbench {p.row}" for p in paper.table if p.row not in methods
-        ],
-        "Not measured": missing,
-        "Differences from the paper's rows": [
-            f"{p.row}: {p.note}" for p in paper.table if p.note and p.row in methods
-        ],
-        "Left out of the means": scores.incomplete_groups,
-        "Left out: other weights or precision": sorted({m for m in rows["method"] if label_of(m)}),
-        "Not run": notes.skip_reasons(psnr),
-        "Unreliable times": scores.unreliable_times,
-        "Remarks": notes.remarks(psnr),
-    }
+def _difference_signs(values: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Signs of the differences of all pairs, [... n n] of values [... n]."""
+    signs: NDArray[np.float64] = np.sign(values[..., :, None] - values[..., None, :])
+    return signs

@@ -6,19 +6,22 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-import matplotlib as mpl
 import numpy as np
 import pandas as pd
 from matplotlib.figure import Figure
 
-from reports.analysis.image_errors import Floats, decibels, encode_srgb, squared_error
-from reports.analysis.shown_rows import first_of_scenes, select_images
-from reports.layout import style
+from reports.analysis.images import (
+    Floats,
+    ShownClip,
+    decibels,
+    encode_srgb,
+    first_of_scenes,
+    select_images,
+    squared_error,
+)
+from reports.layout.files import write_figure
 from reports.layout.image_grid import add_caption, draw_picture
 from reports.layout.page import describe_clips
-from reports.viewer.pictures import ShownClip
-
-__all__ = ["TimeSlice", "draw_slices", "find_slice", "flicker", "write"]
 
 USUAL = ("ours", "ntas", "oidn/tuned", "accumulate/contrast")
 MAX_ROWS, MAX_SCENES = 4, 4
@@ -52,11 +55,8 @@ def write(
     Of the first four `methods`. Raises MissingRowsError for a method without images.
     """
     slices = [find_slice(clip, methods) for clip in first_of_scenes(clips, MAX_SCENES)]
-    with mpl.rc_context(style.RC):
-        files = style.save_figure(draw_slices(slices, describe_clips(results)), folder, name)
-    table = folder / f"{name}.csv"
-    pd.DataFrame([row for part in slices for row in _records(part)]).to_csv(table, index=False)
-    return [*files, table]
+    table = pd.DataFrame([row for part in slices for row in _records(part)])
+    return write_figure(lambda: draw_slices(slices, describe_clips(results)), folder, name, table)
 
 
 def find_slice(clip: ShownClip, methods: Sequence[str] = ()) -> TimeSlice:

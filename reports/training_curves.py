@@ -5,7 +5,6 @@ Command: python -m reports.training_curves docs/results
 
 from __future__ import annotations
 
-import argparse
 import tomllib
 from collections.abc import Iterable, Mapping
 from importlib.resources import files
@@ -13,18 +12,18 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import matplotlib as mpl
+from matplotlib.figure import Figure
 
+from reports.analysis.rows import family_of
 from reports.layout.curve_labels import spread_labels
-from reports.layout.style import RC, LineStyle, line_styles, save_figure
+from reports.layout.files import folder_argument
+from reports.layout.style import RC, LineStyle, line_styles
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
-    from matplotlib.figure import Figure
-
-__all__ = ["Training", "draw_trainings", "main", "read_cards", "shipped_cards"]
 
 PACKAGES = ("baselines", "methods")
-HISTORY = ("validation_history", "curve")  # the key in a card, and its former name
+TITLES = ("ours", "rivals and controls", "the paper's recipe, and its ablations")
 PAPER = "ours/paper"
 PANEL, LABEL_STEP = (5.4, 6.2), 0.27  # inches: width and height of a panel, between two labels
 DEPTH_DB = 5.0  # a panel reaches so far below its best end; lower starts are cut off
@@ -42,9 +41,9 @@ class Training(NamedTuple):
     psnr: tuple[float, ...]  # dB
 
 
-def shipped_cards(packages: Iterable[str] = PACKAGES) -> list[Path]:
+def shipped_cards() -> list[Path]:
     """The model cards of the weights that ship."""
-    roots = (Path(str(files(package))) for package in packages)
+    roots = (Path(str(files(package))) for package in PACKAGES)
     return sorted(path for root in roots for path in root.glob("*/cards/*.toml"))
 
 
@@ -53,26 +52,25 @@ def read_cards(paths: Iterable[Path]) -> list[Training]:
     trainings = []
     for path in paths:
         card = tomllib.loads(path.read_text())
-        history: list[tuple[int, float]] = next((card[key] for key in HISTORY if card.get(key)), [])
-        if history:
+        if history := card.get("validation_history"):
             crops, psnr = zip(*history, strict=True)
             trainings.append(Training(card["name"], crops, psnr))
     return sorted(trainings)
 
 
 def draw_trainings(trainings: Iterable[Training]) -> Figure:
-    """Three panels on one scale: `ours`, the rivals, and the paper's recipe on a scale of its own.
+    """Three panels: `ours`, the rivals, and the paper's recipe, each on its scale.
 
     Names stand beside the ends of their curves, best first.
     """
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
-    from matplotlib.figure import Figure
-
-    panels = _by_panel(trainings)
+    panels: dict[str, list[Training]] = {title: [] for title in TITLES}
+    for training in trainings:
+        is_paper, is_ours = training.name.startswith(PAPER), family_of(training.name) == "ours"
+        panels[TITLES[2 if is_paper else 0 if is_ours else 1]].append(training)
+    panels = {title: chosen for title, chosen in panels.items() if chosen}
+    width, height = PANEL
     with mpl.rc_context(RC):
-        width, height = PANEL
         figure = Figure(figsize=(width * len(panels), height), layout="constrained")
-        FigureCanvasAgg(figure)
         axes: Any = figure.subplots(1, len(panels), squeeze=False)[0]
         for panel, (title, chosen) in zip(axes, panels.items(), strict=True):
             panel.set_title(title, loc="left")
@@ -81,18 +79,6 @@ def draw_trainings(trainings: Iterable[Training]) -> Figure:
         axes[0].set_ylabel("validation PSNR [dB]")
         figure.supxlabel(CAPTION, fontsize=11, x=0.01, ha="left")
     return figure
-
-
-def _by_panel(trainings: Iterable[Training]) -> dict[str, list[Training]]:
-    panels: dict[str, list[Training]] = {}
-    for training in trainings:
-        if training.name.startswith(PAPER):
-            title = "the paper's recipe, and its ablations"
-        else:
-            title = "ours" if training.name.split("/")[0] == "ours" else "rivals and controls"
-        panels.setdefault(title, []).append(training)
-    order = ("ours", "rivals and controls", "the paper's recipe, and its ablations")
-    return {title: panels[title] for title in order if title in panels}
 
 
 def _draw_panel(axes: Axes, trainings: list[Training]) -> None:
@@ -124,15 +110,9 @@ def _write_names(axes: Axes, ends: Mapping[str, float], styles: Mapping[str, Lin
 
 def main(folder: Path) -> None:
     """Draw the cards that ship as `training.png` in `folder`."""
-    for file in save_figure(draw_trainings(read_cards(shipped_cards())), folder, "training"):
-        if file.suffix != ".png":
-            file.unlink()
+    figure = draw_trainings(read_cards(shipped_cards()))
+    figure.savefig(folder / "training.png", dpi=150, metadata={})
 
 
 if __name__ == "__main__":
-    parser = argparse.ArgumentParser(
-        prog="python -m reports.training_curves",
-        description="Draw the validation curves of all model cards that ship.",
-    )
-    parser.add_argument("folder", type=Path, nargs="?", default=Path("docs/results"))
-    main(parser.parse_args().folder)
+    main(folder_argument("training_curves", "Draw the curves of all model cards that ship."))

@@ -1,23 +1,36 @@
-"""The deviation of scores between trainings with different seeds, beside the published one."""
+"""Trainings with different seeds: the deviation of their scores, and differences between rows."""
 
 from __future__ import annotations
 
+import math
+from collections.abc import Sequence
 from pathlib import Path
+from typing import NamedTuple
 
+import numpy as np
 import pandas as pd
+from scipy import stats
 
-from reports.analysis.aggregate import Scores, mean_over_scenes
-from reports.analysis.comparability import ReportError, check_comparable, split_by_device
-from reports.analysis.correlation import std_with_interval
-from reports.analysis.method_names import label_of, training_series_of, without_label
-from reports.analysis.training_differences import BASE, differences_to
-from reports.analysis.verdicts import HOLM_MARK
+from reports.analysis.differences import HOLM_MARK, correct_by_holm, name_verdict
+from reports.analysis.intervals import LEVEL, Interval
+from reports.analysis.rows import (
+    ReportError,
+    check_comparable,
+    label_of,
+    split_by_device,
+    training_series_of,
+    without_label,
+)
+from reports.analysis.scores import Scores, mean_over_scenes
 from reports.layout.page import Section, write_page
-from reports.layout.tables import Table, format_difference, pivot_by_budget, rank_rows
+from reports.layout.tables import Table, format_difference, pivot, rank_rows
 from reports.published import published
 from rlbench.benchmark.results import MissingRowsError
 
-__all__ = ["deviations", "write"]
+BASE = "ours"  # the method that others are compared with, if it was trained several times
+DIFFERENCES = [
+    "series", "target_spp", "difference", "difference_low", "difference_high", "p_value", "verdict",
+]  # fmt: skip
 
 
 def write(results: pd.DataFrame, folder: Path, name: str = "seeds") -> list[Path]:
@@ -69,13 +82,31 @@ def _describe(values: pd.Series[float]) -> dict[str, float]:
     deviation = std_with_interval(list(values))
     return {
         "mean": values.mean(),
-        "deviation": deviation.value,
-        "low": deviation.low,
-        "high": deviation.high,
+        **deviation._asdict(),
         "least": values.min(),
         "most": values.max(),
-        "trainings": deviation.count,
+        "trainings": len(values),
     }
+
+
+class Deviation(NamedTuple):
+    """Standard deviation of a sample, n - 1 in the denominator, and its confidence interval."""
+
+    deviation: float  # nan with one number
+    low: float
+    high: float
+
+
+def std_with_interval(values: Sequence[float]) -> Deviation:
+    """Standard deviation and its chi-square interval, which assumes normally distributed values."""
+    if len(values) < 2:
+        return Deviation(math.nan, math.nan, math.nan)
+    deviation, freedom = float(np.std(values, ddof=1)), len(values) - 1
+    low, high = (
+        deviation * math.sqrt(freedom / float(stats.chi2.isf(tail, freedom)))
+        for tail in ((1 - LEVEL) / 2, (1 + LEVEL) / 2)
+    )
+    return Deviation(deviation, low, high)
 
 
 def _check_distinct_weights(scores: Scores) -> None:
@@ -90,6 +121,44 @@ def _check_distinct_weights(scores: Scores) -> None:
                 f"{' and '.join(sorted(part['method']))} ran with the same weights ({weights}); "
                 "a deviation between trainings needs weights of different seeds"
             )
+
+
+def differences_to(means: pd.DataFrame, base: str = BASE) -> pd.DataFrame:
+    """Mean of each series of trainings minus the mean of the trainings of `base`, per budget.
+
+    `means` has the columns method, target_spp and value, one row per training. `difference_low` and
+    `difference_high` are the interval of Welch's t-test (Welch 1947), which assumes normal,
+    independent trainings and allows unequal variances. Series are compared if their labels differ
+    only in the number; at least two trainings of each are needed at a budget. `p_value` is that of
+    the test, `p_holm` and `mark` its correction over all differences.
+    """
+    records = []
+    for (label, spp), part in means.groupby([means["method"].map(_label_word), "target_spp"]):
+        trainings = dict(list(part.groupby(part["method"].map(without_label))["value"]))
+        ours = trainings.pop(base, pd.Series(dtype=float))
+        for row, theirs in trainings.items():
+            if min(len(ours), len(theirs)) > 1:
+                low, high, p = _welch_test(theirs.to_numpy(), ours.to_numpy())
+                gap = Interval(theirs.mean() - ours.mean(), low, high, len(theirs) + len(ours))
+                verdict = name_verdict(gap, "dB")
+                records.append((f"{row}@{label}", spp, gap.mean, low, high, p, verdict))
+    return correct_by_holm(pd.DataFrame(records, columns=DIFFERENCES))
+
+
+def _welch_test(first: np.ndarray, second: np.ndarray) -> tuple[float, float, float]:
+    """The ends of the interval of the difference of two means, and the p-value that it is zero."""
+    # scipy gives nan where neither side varies; then the difference is exact
+    if math.isclose(first.std() + second.std(), 0.0, abs_tol=1e-12):
+        difference = first.mean() - second.mean()
+        return difference, difference, float(difference == 0)
+    test = stats.ttest_ind(first, second, equal_var=False)
+    ends = test.confidence_interval(LEVEL)
+    return float(ends.low), float(ends.high), float(test.pvalue)
+
+
+def _label_word(method: str) -> str:
+    """The label without the number at its end."""
+    return training_series_of(method).partition("@")[2]
 
 
 def _deviation_table(scores: Scores, records: pd.DataFrame) -> Table:
@@ -123,7 +192,7 @@ def _difference_table(scores: Scores, differences: pd.DataFrame) -> Table:
     named = differences.assign(method=differences["series"] + "0, ...").rename(
         columns={"difference_low": "low", "difference_high": "high"}
     )
-    (_, *budgets), rows = pivot_by_budget(named, format_difference, rank_rows(named, "difference"))
+    header, rows = pivot(named, format_difference, rank_rows(named, "difference"), "series")
     caption = (
         f"Mean PSNR in dB ({scores.convention}) of a series of trainings minus that of the "
         f"trainings of {BASE}. Brackets: 95 % interval of Welch's t-test over trainings, bold if "
@@ -131,7 +200,7 @@ def _difference_table(scores: Scores, differences: pd.DataFrame) -> Table:
         "for these clips; other clips would differ too."
     )
     title = f"Trainings minus those of {BASE} [dB]"
-    return Table(title, caption, ("series", *budgets), tuple(rows))
+    return Table(title, caption, header, rows)
 
 
 def _lists(scores: Scores, records: pd.DataFrame) -> dict[str, list[str]]:

@@ -29,11 +29,6 @@ __all__ = [
 ]
 
 DTYPE = torch.float16  # of floating-point weights in the file
-RENAMED_FIELDS = {
-    "plan": "training_config",
-    "curve": "validation_history",
-    "config": "method_config",
-}  # fields of older model cards, and their names today
 
 
 class WeightsError(RlbenchError, ValueError):
@@ -164,11 +159,11 @@ def read_card(path: Path) -> ModelCard:
             )
     try:
         document = documents.read_toml(file)
-        if unknown := documents.unknown_keys(document, ModelCard, renamed=RENAMED_FIELDS):
+        if unknown := documents.unknown_keys(document, ModelCard):
             raise ValueError(f"unknown fields: {', '.join(unknown)}")
         if missing := sorted({"name", "sha256"} - document.keys()):
             raise ValueError(f"missing fields: {', '.join(missing)}")
-        return documents.decode(document, ModelCard, renamed=RENAMED_FIELDS)
+        return documents.decode(document, ModelCard)
     except ValueError as error:
         raise WeightsError(f"{file} is not a model card: {error}") from error
 

@@ -14,7 +14,7 @@ import pytest
 
 import rlbench
 from rlbench import registry
-from rlbench.benchmark.run_verdict import RunWarning
+from rlbench.benchmark.run_outcome import RunWarning
 from rlbench.clips import write_header
 from tests.conftest import write_noise, write_plugin
 

@@ -13,14 +13,15 @@ from rlbench import backends, registry
 from rlbench.backends import BACKENDS, EAGER, find_networks, select_backend, use_backend
 from rlbench.benchmark import results
 from rlbench.benchmark.clip_sources import StoredSource
-from rlbench.benchmark.row_name import COMPILERS
+from rlbench.benchmark.results import COMPILERS
 from rlbench.benchmark.run_plan import RunPlan
 from rlbench.benchmark.runner import measure
 from rlbench.clips.procedural.clip import procedural_clip
 from rlbench.errors import OptionError
 from rlbench.frames import Size
 from rlbench.method import Method
-from rlbench.ops.unet import SMALL_WIDTHS, FeatureUNet, UNet
+from rlbench.ops.unet import FeatureUNet, UNet
+from rlbench.ops.unet_widths import FAST_WIDTHS
 from rlbench.run import run_clip
 from rlbench.wrappers import HalfPrecision, MethodWrapper
 
@@ -98,8 +99,8 @@ def test_networks_are_found_once_in_methods_and_in_wrapped_methods():
 
 
 def test_outputs_are_not_overwritten_by_the_next_call_and_sizes_may_change():
-    network = UNet(3, widths=SMALL_WIDTHS).eval()
-    features = FeatureUNet(3, widths=SMALL_WIDTHS).eval()
+    network = UNet(3, widths=FAST_WIDTHS).eval()
+    features = FeatureUNet(3, widths=FAST_WIDTHS).eval()
     images = [torch.rand(1, 3, *size) for size in ((16, 32), (32, 16), (16, 32))]
     with torch.inference_mode():
         expected = [network(image) for image in images]

@@ -27,8 +27,9 @@ from hypothesis import strategies as st
 from torch import nn
 
 from rlbench.benchmark import results
+from rlbench.benchmark.cell_key import CellId, CellKey
 from rlbench.benchmark.regression.baseline import load_baseline
-from rlbench.benchmark.results import CellId, CellKey, Row
+from rlbench.benchmark.results import Row
 from rlbench.errors import RlbenchError
 from rlbench.weights import ModelCard, card_path, load_into, read_card, save, training_clips
 

@@ -50,16 +50,14 @@ def test_the_commands_of_the_page_lead_from_a_dump_to_a_decision(folder, sign):
         "import",
         "run",
         "decide",
-        "fingerprint",
     ]
     rows = results.read(folder / "results" / "own")
     assert set(rows.loc[rows["metric"] == "psnr", "method"]) == set(METHODS)
     assert any(name in outputs["decide"] for name in METHODS)
-    assert "motion" in outputs["fingerprint"]
 
 
 def test_a_guess_that_is_a_ready_layout_is_written_as_a_file_that_imports(folder, monkeypatch):
-    monkeypatch.setattr("rlbench.checks.lint.recognize.recognize_layout", lambda source: "falcor")
+    monkeypatch.setattr("rlbench.checks.lint.guess.recognize_layout", lambda source: "falcor")
     write_falcor(correct_clip(height=24, width=32, frames=2, half=32), folder / "dump")
     (guess, imports, *_) = commands()
     output = rlbench(*guess)

@@ -20,9 +20,9 @@ PROJECT = tomllib.loads((CHECKOUT / "pyproject.toml").read_text())["project"]
 CLOCK = r"perf_counter|monotonic\(|time\.time\(|process_time|cuda\.Event\("
 MAX_LINES = 450  # of a module
 TIMED = (  # what measures, what stops in time, and what writes down the cost of a sample
-    "rlbench/benchmark/clock/stopwatch.py",
+    "rlbench/benchmark/clock.py",
     "rlbench/training/loop.py",
-    "rlbench/parallel/time_limit.py",
+    "rlbench/parallel/executor.py",
     "methods/ours/experiments/compare_learners.py",
     "rlbench/training/profiler.py",
     "rlbench/render/mitsuba/tracer.py",

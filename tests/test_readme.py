@@ -11,6 +11,7 @@ from typing import Any
 import pytest
 import typer.main
 
+from docs.tables import fill_tables
 from rlbench import registry
 from rlbench.checks.conformance import MethodUnderTest, Verdict, run_checks
 from rlbench.cli.app import app
@@ -140,19 +141,7 @@ def test_a_command_that_does_not_exist_is_noticed(line):
         check_command(line)
 
 
-@pytest.mark.parametrize(("page", "first"), [("summary.md", 0), ("real.md", 4)])
-def test_the_scores_of_the_readme_are_those_of_the_generated_pages(page, first):
-    cells = _scores(README.read_text(), "| method | mini: 0.5 spp |")
-    scores = {name: row[first : first + 4] for name, row in cells.items()}
-    published = _scores((ROOT / "docs" / "results" / page).read_text(), "| method | 0.5 spp |")
-    assert len(scores) > 5
-    missing = ["-"] * 4  # a row that cannot run on these clips
-    assert {name: published.get(name, missing) for name in scores} == scores
-
-
-def _scores(page: str, header: str) -> dict[str, list[str]]:
-    """The first table of methods by budgets, without intervals and verdicts."""
-    lines = page[page.index(header) :].split("\n\n")[0].splitlines()[2:]
-    lines = [line for line in lines if line.startswith("|")]
-    rows = [[cell.split("[")[0].strip(" *") for cell in line.split("|")[1:-1]] for line in lines]
-    return {name: [cell.removesuffix(" tie") for cell in cells] for name, *cells in rows}
+@page_id
+def test_the_generated_tables_of_a_page_are_those_of_its_sources(page):
+    text = page.read_text()
+    assert fill_tables(text) == text, "run make tables"

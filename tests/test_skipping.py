@@ -17,7 +17,7 @@ from baselines.accumulate import method as accumulate
 from baselines.mean import Mean
 from baselines.svgf import history as svgf
 from rlbench import registry
-from rlbench.benchmark import ground_truth_cache
+from rlbench.benchmark import scoring
 from rlbench.benchmark.clip_sources import StoredSource
 from rlbench.benchmark.run_plan import RunPlan
 from rlbench.benchmark.runner import RunSummary, measure
@@ -99,7 +99,7 @@ def decoded_images(decoded: Counter[tuple[str, str]], kind: str) -> set[str]:
 
 
 def test_all_methods_of_a_run_share_each_decoded_image(clip_folder, tmp_path, decoded):
-    plan = run_plan(clip_folder, "mean", "eaw", "svgf", target_spp=(1.0, 2.0), seeds=(0, 1))
+    plan = run_plan(clip_folder, "mean", "eaw", "svgf", spp=(1.0, 2.0), seeds=(0, 1))
     assert measure(plan, tmp_path / "r").measured == 12
     assert set(decoded.values()) == {1}
 
@@ -108,17 +108,17 @@ def test_all_methods_of_a_run_share_what_metrics_derive_from_a_reference(
     clip_folder, tmp_path, monkeypatch
 ):
     read = count_calls(monkeypatch, (stored.StoredClip, "_half_reference"))
-    made = count_calls(monkeypatch, (ground_truth_cache, "make_ground_truth"))
-    plan = run_plan(clip_folder, "mean", "eaw", target_spp=(1.0, 2.0), seeds=(0, 1))
+    made = count_calls(monkeypatch, (scoring, "make_ground_truth"))
+    plan = run_plan(clip_folder, "mean", "eaw", spp=(1.0, 2.0), seeds=(0, 1))
     assert measure(plan, tmp_path / "r").measured == 8
     assert (len(made), len(read)) == (3, 6)  # frames, and their halves
 
 
 def test_a_run_decodes_no_buffer_that_no_method_or_metric_declares(clip_folder, tmp_path, decoded):
     read_by_metrics = {"motion"}
-    measure(run_plan(clip_folder, "mean", target_spp=(1.0,)), tmp_path / "r")
+    measure(run_plan(clip_folder, "mean", spp=(1.0,)), tmp_path / "r")
     assert decoded_images(decoded, "view") == read_by_metrics
-    measure(run_plan(clip_folder, "eaw", target_spp=(1.0,)), tmp_path / "r")
+    measure(run_plan(clip_folder, "eaw", spp=(1.0,)), tmp_path / "r")
     assert decoded_images(decoded, "view") == {"albedo", "normal", "depth"} | read_by_metrics
 
 
@@ -126,7 +126,7 @@ def test_a_run_decodes_no_buffer_that_no_method_or_metric_declares(clip_folder, 
 def test_a_run_decodes_no_sample_above_its_largest_budget(
     clip_folder, tmp_path, decoded, budgets, slots
 ):
-    measure(run_plan(clip_folder, "mean", target_spp=budgets), tmp_path / "r")
+    measure(run_plan(clip_folder, "mean", spp=budgets), tmp_path / "r")
     samples = [(file, name) for file, name in decoded if file.startswith("pool")]
     frames = 3
     assert len(samples) == slots * frames * 3  # red, green and blue
@@ -134,14 +134,14 @@ def test_a_run_decodes_no_sample_above_its_largest_budget(
 
 def test_a_pool_of_another_kind_is_not_decoded(tmp_path, decoded):
     folder = write_noise(tmp_path / "noise")
-    measure(run_plan(folder, "mean", "restir", target_spp=(1.0,)), tmp_path / "r")
+    measure(run_plan(folder, "mean", "restir", spp=(1.0,)), tmp_path / "r")
     assert {file.split(".")[1] for file, _ in decoded if file.startswith("pool")} == {"path"}
 
 
 def test_a_finished_cell_runs_no_frame_and_decodes_nothing(
     clip_folder, tmp_path, decoded, monkeypatch
 ):
-    plan = run_plan(clip_folder, "mean", target_spp=(1.0,))
+    plan = run_plan(clip_folder, "mean", spp=(1.0,))
     calls = count_calls(monkeypatch, (Mean, "denoise"))
     measure(plan, tmp_path / "r")
     assert calls
@@ -150,7 +150,7 @@ def test_a_finished_cell_runs_no_frame_and_decodes_nothing(
     decoded.clear()
     assert measure(plan, tmp_path / "r") == RunSummary(cached=1)
     assert (calls, decoded) == ([], Counter())
-    measure(replace(plan, target_spp=(1.0, 2.0)), tmp_path / "r")
+    measure(replace(plan, spp=(1.0, 2.0)), tmp_path / "r")
     assert calls  # of the new cell
 
 

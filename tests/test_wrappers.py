@@ -11,8 +11,8 @@ import torch
 from rlbench import registry
 from rlbench.benchmark import results
 from rlbench.benchmark.clip_sources import StoredSource
+from rlbench.benchmark.run_outcome import read_outcome
 from rlbench.benchmark.run_plan import RunPlan
-from rlbench.benchmark.run_table import read_outcome
 from rlbench.benchmark.runner import RunSummary, measure
 from rlbench.cli import console
 from rlbench.clips.procedural.clip import procedural_clip
@@ -20,7 +20,8 @@ from rlbench.family import Traits
 from rlbench.frames import Size
 from rlbench.method import Method, config_json
 from rlbench.ops.memory_format import to_channels_last, to_contiguous_float32
-from rlbench.ops.unet import SMALL_WIDTHS, UNet
+from rlbench.ops.unet import UNet
+from rlbench.ops.unet_widths import FAST_WIDTHS
 from rlbench.run import run_clip
 from rlbench.wrappers import HalfPrecision, MethodWrapper
 
@@ -67,7 +68,7 @@ def test_half_precision_images_are_float32_and_nearly_the_same():
 
 def bf16_plan(folder: Path, *methods: str, bf16: bool = True) -> RunPlan:
     clips = (StoredSource(folder),)
-    return RunPlan(methods, clips, target_spp=(1.0,), repeats=2, limit_frames=1, bf16=bf16)
+    return RunPlan(methods, clips, spp=(1.0,), repeats=2, limit_frames=1, bf16=bf16)
 
 
 @pytest.mark.usefixtures("native_bf16")
@@ -100,5 +101,5 @@ def test_memory_formats_change_no_value_of_a_convolution(shape):
     assert to_contiguous_float32(to_channels_last(x)).is_contiguous()
     with torch.autocast("cpu", torch.bfloat16):
         assert to_channels_last(x).dtype == torch.bfloat16
-        net = UNet(5, widths=SMALL_WIDTHS)
+        net = UNet(5, widths=FAST_WIDTHS)
         assert torch.equal(net(x), net(to_channels_last(x)))

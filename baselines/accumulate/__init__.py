@@ -31,8 +31,7 @@ FAMILY = Family(
             weights_from=DENOISER,
         ),
         "tuned": Variant(
-            "Does the network gain by training on accumulated light? (contrast)",
-            ADAPTIVE,
+            "Does the network gain by training on accumulated light? (contrast)", ADAPTIVE
         ),
         "intel": Variant(
             "What do rules give if nothing is trained here? (contrast)",

@@ -33,7 +33,7 @@ from rlbench.ops.exposure import autoexposure
 from rlbench.ops.fireflies import limit_fireflies
 from rlbench.ops.reprojection import ReprojectionMemo
 from rlbench.ops.transfer import log_forward, log_inverse
-from rlbench.ops.unet import BASE_WIDTHS, UNet
+from rlbench.ops.unet import UNet
 from rlbench.weights import load_for_inference
 
 __all__ = ["VARIANTS", "Accumulate", "Config", "build"]
@@ -102,10 +102,18 @@ class Accumulate:
         accumulated, history = accumulate_frame(history, current)
         accumulated = fill_holes(accumulated, gbuffer.albedo)
         denoised = log_forward(self._run_network(gbuffer, accumulated))
-        image = log_inverse(torch.lerp(denoised, history.image, BLEND * history.similarity))
+        image = log_inverse(
+            torch.lerp(denoised, history.image, self.blend_weight(denoised, history))
+        )
         change = _update_change(history, denoised.detach())
         surface = surface_features(gbuffer.normal, gbuffer.albedo, gbuffer.depth)
         return image, Memory(accumulated, image, change, surface, state.age + 1)
+
+    def blend_weight(
+        self, denoised: Float[Tensor, "n 3 h w"], history: History
+    ) -> Float[Tensor, "n 1 h w"]:
+        """Weight in [0, 1] of the last image, beside the new one in log transfer: by the rule."""
+        return BLEND * history.similarity
 
     def _run_network(
         self, gbuffer: GBuffer, accumulated: AccumulatedRadiance
@@ -119,7 +127,7 @@ class Accumulate:
 def build(variant: str, device: torch.device, weights: str | None) -> Accumulate:
     """The control with pretrained weights (None), those of a file (its path), or "random" ones."""
     declared = FAMILY.variants[variant]
-    network = UNet(INPUT_CHANNELS, widths=BASE_WIDTHS)
+    network = UNet(INPUT_CHANNELS)
     cards = OIDN_CARDS if declared.weights_from else CARDS
     load_for_inference(network, weights, cards / FAMILY.weights_file(variant), device)
     return Accumulate(VARIANTS[variant], declared.traits, network)

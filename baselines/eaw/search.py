@@ -7,8 +7,7 @@ import sys
 from collections.abc import Sequence
 from pathlib import Path
 
-from baselines.eaw.filter import Config
-from baselines.eaw.method import Eaw
+from baselines.eaw.method import Config, Eaw
 from rlbench import registry
 from rlbench.clips.in_memory import InMemoryClip
 from rlbench.clips.stored import StoredClip, open_clip

@@ -7,9 +7,7 @@ from rlbench.family import Family, Traits, Variant
 __all__ = ["FAMILY", "TRAITS"]
 
 TRAITS = Traits(
-    inputs=frozenset({"albedo", "normal", "depth", "motion"}),
-    temporal=True,
-    spp_range=(1.0, 8.0),
+    inputs=frozenset({"albedo", "normal", "depth", "motion"}), temporal=True, spp_range=(1.0, 8.0)
 )
 
 FAMILY = Family(

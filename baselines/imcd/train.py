@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, field
 from functools import partial
 
@@ -10,8 +10,9 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
+from baselines.accumulate.memory import LightHistory
 from baselines.imcd import FAMILY
-from baselines.imcd.method import VARIANTS, Imcd, State
+from baselines.imcd.method import VARIANTS, Imcd
 from baselines.imcd.network import Kernels, Networks
 from rlbench.frames import Clip, GBuffer, Samples
 from rlbench.ops.losses import smape
@@ -19,7 +20,13 @@ from rlbench.run import unroll
 from rlbench.training.task import BUDGETS_FROM_1_SPP, TrainingTask
 from rlbench.wrappers import MethodWrapper
 
-__all__ = ["SharpnessRecorder", "losses", "sharpness_penalty", "training_task"]
+__all__ = [
+    "SharpnessRecorder",
+    "image_and_change_losses",
+    "losses",
+    "sharpness_penalty",
+    "training_task",
+]
 
 TEMPORAL_WEIGHT = 0.25  # of the error of the change from the previous frame
 SHARPNESS_WEIGHT = 1e-5  # of the mean squared sharpness
@@ -47,16 +54,33 @@ def training_task(variant: str, device: torch.device, seed: int) -> TrainingTask
 def losses(method: Imcd, clip: Clip, spp: float) -> Iterator[Float[Tensor, ""]]:
     """One loss for each `bptt` frames, the mean of the frames' losses; see `training_task`."""
     recorder = SharpnessRecorder(method)
+    frames = (
+        (r.image, r.frame.reference.mean, SHARPNESS_WEIGHT * recorder.penalties.pop())
+        for r in unroll(recorder, clip, spp)
+    )
+    return image_and_change_losses(frames, smape, TEMPORAL_WEIGHT, method.config.bptt)
+
+
+def image_and_change_losses(
+    frames: Iterable[tuple[Tensor, Tensor, Tensor | float]],
+    error: Callable[[Tensor, Tensor], Tensor],
+    change_weight: float,
+    bptt: int,
+) -> Iterator[Float[Tensor, ""]]:
+    """The mean over each `bptt` frames of the error of an image and of its change, and a penalty.
+
+    `frames` are images, references and penalties. The last images may be fewer than `bptt`.
+    """
     frame_losses: list[Tensor] = []  # since the last yield
     previous: tuple[Tensor, Tensor] | None = None  # image and reference of the previous frame
-    for result in unroll(recorder, clip, spp):
-        image, reference = result.image, result.frame.reference.mean
-        loss = smape(image, reference) + SHARPNESS_WEIGHT * recorder.penalties.pop()
+    for image, reference, penalty in frames:
+        loss = error(image, reference) + penalty
         if previous is not None:
-            loss = loss + TEMPORAL_WEIGHT * smape(image - previous[0], reference - previous[1])
+            change = error(image - previous[0], reference - previous[1])
+            loss = loss + change_weight * change
         frame_losses.append(loss)
         previous = image, reference
-        if len(frame_losses) == method.config.bptt:
+        if len(frame_losses) == bptt:
             yield torch.stack(frame_losses).mean()
             frame_losses, previous = [], (image.detach(), reference)
     if frame_losses:
@@ -70,8 +94,8 @@ class SharpnessRecorder(MethodWrapper[Imcd]):
     penalties: list[Tensor] = field(default_factory=list)  # of frames that were not yet read
 
     def denoise(
-        self, gbuffer: GBuffer, samples: Samples, state: State
-    ) -> tuple[Float[Tensor, "n 3 h w"], State]:
+        self, gbuffer: GBuffer, samples: Samples, state: LightHistory
+    ) -> tuple[Float[Tensor, "n 3 h w"], LightHistory]:
         """The method's image and state."""
         image, state, kernels = self.method.denoise_with_kernels(gbuffer, samples, state)
         self.penalties.append(sharpness_penalty(kernels))

@@ -4,33 +4,33 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import NamedTuple
 
 import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from baselines.accumulate.memory import Memory, empty_memory, reproject_memory
-from baselines.accumulate.weighted_history import reproject_images, weigh_history, with_image
+from baselines.accumulate.memory import LightHistory, with_image
 from baselines.nppd import FAMILY
-from baselines.nppd.filter import apply_partitioning_pyramid
-from baselines.nppd.network import EMBEDDING, LARGE_WIDTHS, STRIDE, WIDTHS, Networks
+from baselines.nppd.network import (
+    EMBEDDING,
+    LARGE_WIDTHS,
+    STRIDE,
+    WIDTHS,
+    Networks,
+    apply_partitioning_pyramid,
+)
 from rlbench.family import Traits
 from rlbench.frames import GBuffer, Samples, Size
 from rlbench.ops.accumulation import fill_holes, frame_radiance, surface_features
 from rlbench.ops.demodulation import demodulation_albedo, filtered_albedo
-from rlbench.ops.fireflies import limit_fireflies, repair_radiance_history
+from rlbench.ops.fireflies import limit_fireflies
 from rlbench.ops.padding import crop, pad
-from rlbench.ops.reprojection import reproject
-from rlbench.ops.sanitize import repair_history
 from rlbench.weights import load_for_inference
 
-__all__ = ["VARIANTS", "Config", "Nppd", "State", "build"]
+__all__ = ["VARIANTS", "Config", "Nppd", "build"]
 
 CARDS = Path(__file__).parent / "cards"
-MAX_FEATURE = 1e4  # in magnitude, of embeddings; usual ones are below 100
 MEAN_OFFSET = 1e-8  # added to the mean irradiance before division
-CHANNELS = (3, 3, EMBEDDING)  # of the state's images, in their order
 
 
 @dataclass(frozen=True)
@@ -49,27 +49,14 @@ VARIANTS = {
 }
 
 
-class State(NamedTuple):
-    """What the next frame needs of the frames so far."""
-
-    irradiance: Float[Tensor, "n 3 h w"]  # noisy, demodulated, accumulated over frames
-    denoised: Float[Tensor, "n 3 h w"]  # the previous image, demodulated, linear
-    embedding: Float[Tensor, "n 32 h w"]  # accumulated over frames
-    age: int  # frames so far; at 0 the images are meaningless
-    memory: Memory | None = None  # that weighs the history; None: only its validity counts
-
-    def detach(self) -> State:
-        """The same state without the autograd graph."""
-        return State._make((*(image.detach() for image in self[:3]), *self[3:]))
-
-
 @dataclass(frozen=True)
 class Nppd:
     """Neural partitioning pyramids (Balint et al. 2023).
 
     Every sample is embedded, and the embeddings of a pixel are averaged. A U-Net maps light and
-    embedding of the history and of this frame to the weights of a filter (see `filter`) and to
-    lambda, the weight of history by which light and embedding are accumulated. Uniform sampling.
+    embedding of the history and of this frame to the weights of a filter (see
+    `apply_partitioning_pyramid`) and to lambda, the weight of history by which light and embedding
+    are accumulated. Uniform sampling.
 
     Networks, inputs, filter and recurrence are those of the authors' release. Ours: the widths of
     the variant ""; light is radiance over (albedo of 3 x 3 pixels + 0.01), or over 1.01 where
@@ -90,29 +77,26 @@ class Nppd:
     config: Config = BASE
     traits: Traits = FAMILY.variants[""].traits
 
-    def start(self, size: Size) -> State:
+    def start(self, size: Size) -> LightHistory:
         """A state without history."""
         device = next(self.networks.parameters()).device
-        images = [torch.zeros(size.n, c, size.h, size.w, device=device) for c in CHANNELS]
-        memory = empty_memory(size, device) if self.config.weighted_history else None
-        return State._make((*images, 0, memory))
+        return LightHistory.empty(size, EMBEDDING, device, self.config.weighted_history)
 
-    def plan(self, gbuffer: GBuffer, samples: Samples, state: State) -> Float[Tensor, "n 1 h w"]:
+    def plan(
+        self, gbuffer: GBuffer, samples: Samples, state: LightHistory
+    ) -> Float[Tensor, "n 1 h w"]:
         """Uniform density."""
         return torch.ones_like(gbuffer.depth)
 
     def denoise(
-        self, gbuffer: GBuffer, samples: Samples, state: State
-    ) -> tuple[Float[Tensor, "n 3 h w"], State]:
+        self, gbuffer: GBuffer, samples: Samples, state: LightHistory
+    ) -> tuple[Float[Tensor, "n 3 h w"], LightHistory]:
         """The image in linear radiance, and the state with its autograd graph."""
         h, w = gbuffer.depth.shape[-2:]
 
         # demodulate, reproject and embed
         albedo = demodulation_albedo(filtered_albedo(gbuffer.albedo))
-        if state.memory is None:
-            history, weight = _reproject_state(gbuffer, state)
-        else:
-            history, weight = _reproject_weighted(gbuffer, samples, state, state.memory)
+        history, weight = state.reproject(gbuffer, samples)
         light = _sample_irradiance(gbuffer, samples, albedo, history.irradiance, weight)
         noisy = light.mean
         mean = noisy.mean((1, 2, 3), keepdim=True) + MEAN_OFFSET
@@ -120,13 +104,13 @@ class Nppd:
 
         # predict weights
         colours = _compress(torch.cat((history.irradiance, noisy), 1) / mean)
-        inputs = torch.cat((colours, history.embedding, embedding), 1)
+        inputs = torch.cat((colours, history.features, embedding), 1)
         weights = self.networks.predict_weights(pad(inputs, STRIDE))
 
         # accumulate; without history, the current values take its place
         keep = crop(weights.input_history_weight, h, w) * weight
         irradiance = torch.lerp(noisy, history.irradiance, keep)
-        embedding = torch.lerp(embedding, history.embedding, keep)
+        embedding = torch.lerp(embedding, history.features, keep)
 
         # filter and modulate
         previous = torch.lerp(irradiance, history.denoised, weight)
@@ -136,7 +120,7 @@ class Nppd:
         denoised = crop(denoised, h, w)
         image = denoised * albedo
         memory = with_image(history.memory, image)
-        return image, State(irradiance, denoised, embedding, state.age + 1, memory)
+        return image, LightHistory(irradiance, denoised, embedding, state.age + 1, memory)
 
     def _embed(self, gbuffer: GBuffer, light: Samples, mean: Tensor) -> Float[Tensor, "n 32 h w"]:
         """The mean embedding of a pixel's samples of irradiance."""
@@ -166,34 +150,6 @@ def _sample_irradiance(
     first = torch.where(is_empty, torch.lerp(filled, history, weight), irradiance[:, 0])
     irradiance = torch.cat((first[:, None], irradiance[:, 1:]), 1)
     return Samples(irradiance, samples.counts.clamp_min(1))
-
-
-def _reproject_state(gbuffer: GBuffer, state: State) -> tuple[State, Float[Tensor, "n 1 h w"]]:
-    """The state as seen from this frame, zero where it is invalid, and its weight: 1 if valid."""
-    repaired = (
-        repair_radiance_history(state.irradiance),
-        repair_radiance_history(state.denoised),
-        repair_history(state.embedding, -MAX_FEATURE, MAX_FEATURE),
-    )
-    images, valid = reproject(torch.cat(repaired, 1), gbuffer.motion)
-    valid = valid & (state.age > 0)
-    parts = images.where(valid, 0.0).split_with_sizes(CHANNELS, 1)
-    return State._make((*parts, state.age, None)), valid.to(images.dtype)
-
-
-def _reproject_weighted(
-    gbuffer: GBuffer, samples: Samples, state: State, memory: Memory
-) -> tuple[State, Float[Tensor, "n 1 h w"]]:
-    """The state as seen from this frame, zero where it has no weight, and a weight by rule.
-
-    Light and image move by bicubic taps. Its memory already holds this frame, but for the image.
-    """
-    reprojected = reproject_memory(gbuffer, memory)
-    weight, memory = weigh_history(gbuffer, samples, memory, reprojected)
-    embedding = repair_history(state.embedding, -MAX_FEATURE, MAX_FEATURE)
-    images = reproject_images(state.irradiance, state.denoised, embedding, gbuffer.motion)
-    parts = (image.where(weight > 0, 0.0) for image in images)
-    return State._make((*parts, state.age, memory)), weight
 
 
 def build(variant: str, device: torch.device, weights: str | None) -> Nppd:

@@ -11,8 +11,9 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
+from baselines.accumulate.memory import LightHistory
 from baselines.nppd import FAMILY
-from baselines.nppd.method import VARIANTS, Nppd, State
+from baselines.nppd.method import VARIANTS, Nppd
 from baselines.nppd.network import Networks
 from rlbench.frames import Clip, GBuffer, Samples, Size
 from rlbench.ops.losses import smape
@@ -67,7 +68,7 @@ class PairState(NamedTuple):
 
     gbuffer: GBuffer | None  # None before the first frame
     samples: Samples | None
-    state: State  # detached
+    state: LightHistory  # detached
 
 
 @dataclass(frozen=True)

@@ -11,9 +11,12 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from baselines.accumulate.memory import History, Memory, empty_memory, reproject_memory
-from baselines.accumulate.weighted_history import (
+from baselines.accumulate.memory import (
+    History,
+    Memory,
+    empty_memory,
     reproject_image,
+    reproject_memory,
     surface_weight,
     weigh_history,
     with_image,

@@ -15,7 +15,8 @@ from rlbench.ops.init import kaiming_init
 from rlbench.ops.kernels import apply_kernels
 from rlbench.ops.padding import crop, pad
 from rlbench.ops.transfer import HALF_MAX, LOG_SCALE, log_inverse
-from rlbench.ops.unet import BASE_WIDTHS, STRIDE, FeatureUNet, UNet
+from rlbench.ops.unet import STRIDE, FeatureUNet, UNet
+from rlbench.ops.unet_widths import BASE_WIDTHS
 
 __all__ = ["Denoiser", "DirectDenoiser", "Networks", "Sampler"]
 

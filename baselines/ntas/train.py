@@ -8,6 +8,7 @@ import torch
 from torch import Tensor
 from torch.nn import functional as F
 
+from baselines.imcd.train import image_and_change_losses
 from baselines.ntas import FAMILY
 from baselines.ntas.method import VARIANTS, Ntas
 from baselines.ntas.network import Networks
@@ -18,6 +19,7 @@ from rlbench.training import BUDGETS_FROM_1_SPP, SurrogateGradient, TrainingTask
 
 __all__ = ["training_task"]
 
+CHANGE_WEIGHT = 1.0  # of the error of the change from the previous frame
 LR_MULTIPLIERS = {"sampler": 0.2}  # learning rate 1e-4
 
 
@@ -35,25 +37,11 @@ def training_task(variant: str, device: torch.device, seed: int) -> TrainingTask
     method = Ntas(networks, config, FAMILY.variants[variant].traits)
 
     def losses(clip: Clip, spp: float) -> Iterator[Tensor]:
-        return _losses(method, clip, spp)
+        trained = SurrogateGradient(method, iter(clip), spp)
+        frames = (
+            (log_forward(r.image), log_forward(r.frame.reference.mean), 0.0)
+            for r in unroll(trained, clip, spp)
+        )
+        return image_and_change_losses(frames, F.l1_loss, CHANGE_WEIGHT, config.bptt)
 
     return TrainingTask(method, networks, losses, BUDGETS_FROM_1_SPP, lr_multipliers=LR_MULTIPLIERS)
-
-
-def _losses(method: Ntas, clip: Clip, spp: float) -> Iterator[Tensor]:
-    """One loss for each `bptt` frames, the mean of the frames' losses."""
-    trained = SurrogateGradient(method, iter(clip), spp)
-    frame_losses: list[Tensor] = []  # since the last yield
-    previous: tuple[Tensor, Tensor] | None = None  # image and reference of the previous frame
-    for result in unroll(trained, clip, spp):
-        image, reference = log_forward(result.image), log_forward(result.frame.reference.mean)
-        loss = F.l1_loss(image, reference)
-        if previous is not None:
-            loss = loss + F.l1_loss(image - previous[0], reference - previous[1])
-        frame_losses.append(loss)
-        previous = image, reference
-        if len(frame_losses) == method.config.bptt:
-            yield torch.stack(frame_losses).mean()
-            frame_losses, previous = [], (image.detach(), reference)
-    if frame_losses:
-        yield torch.stack(frame_losses).mean()

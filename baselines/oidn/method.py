@@ -18,7 +18,8 @@ from rlbench.ops.exposure import autoexposure
 from rlbench.ops.fireflies import mean_without_fireflies
 from rlbench.ops.padding import crop, pad
 from rlbench.ops.transfer import LOG_SCALE, pu_forward, pu_inverse
-from rlbench.ops.unet import BASE_WIDTHS, FAST_WIDTHS, STRIDE, UNet, UNetWidths
+from rlbench.ops.unet import STRIDE, UNet
+from rlbench.ops.unet_widths import BASE_WIDTHS, FAST_WIDTHS, UNetWidths
 from rlbench.weights import load_for_inference, load_into
 
 __all__ = [

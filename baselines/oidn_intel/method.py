@@ -1,22 +1,130 @@
-"""One frame through Intel's library, from the mean of the samples, albedo and normal."""
+"""Intel's library through pyoidn: one frame from the mean of the samples, albedo and normal."""
 
 from __future__ import annotations
 
+import ctypes
+import weakref
 from dataclasses import dataclass, replace
 from functools import lru_cache
+from pathlib import Path
+from typing import Any
 
+import numpy as np
 import torch
 from jaxtyping import Float
 from torch import Tensor
 
 from baselines.oidn.sparse import FilledHoles
 from baselines.oidn_intel import FAMILY, TRAITS
-from baselines.oidn_intel.library import Filter, FilterSettings, library_version
+from rlbench.errors import RlbenchError
 from rlbench.family import Traits
 from rlbench.frames import GBuffer, Samples, Size
 from rlbench.ops.fireflies import mean_without_fireflies
 
-__all__ = ["VARIANTS", "Config", "OidnIntel", "build"]
+__all__ = [
+    "VARIANTS",
+    "Config",
+    "Filter",
+    "FilterSettings",
+    "LibraryError",
+    "OidnIntel",
+    "build",
+    "library_version",
+]
+
+IMAGES = ("color", "albedo", "normal", "output")
+
+
+class LibraryError(RlbenchError, RuntimeError):
+    """An error that Open Image Denoise reports, or a missing part of it."""
+
+
+@dataclass(frozen=True)
+class FilterSettings:
+    """Settings of the library's ray-tracing filter for HDR colour with albedo and normal."""
+
+    quality: str = "high"  # high, balanced, fast
+    clean_aux: bool = False  # OIDN's cleanAux: albedo and normal are free of noise
+    weights: bytes = b""  # a TZA file that replaces Intel's weights
+
+
+class Filter:
+    """The library's filter for images of one size, on a number of CPU threads.
+
+    Not thread-safe: it holds the image buffers that the library reads and writes.
+    """
+
+    def __init__(self, settings: FilterSettings, h: int, w: int, threads: int) -> None:
+        """Build the library's network. Raises LibraryError, e.g. for weights that are not a TZA."""
+        import pyoidn  # an optional dependency that listing methods does not need
+
+        self._images = {name: np.zeros((h, w, 3), np.float32) for name in IMAGES}
+        self._weights = settings.weights  # the library does not copy them
+        self._device = pyoidn.Device(pyoidn.OIDN_DEVICE_TYPE_CPU)
+        weakref.finalize(self, self._device.release)
+        self._device.set_int("numThreads", threads)
+        self._device.set_bool("setAffinity", False)  # torch does not pin threads either
+        self._device.commit()
+        self._check()
+
+        self._filter = pyoidn.Filter(self._device, pyoidn.OIDN_FILTER_TYPE_RT)
+        weakref.finalize(self, self._filter.release)
+        for name, image in self._images.items():
+            self._filter.set_image(name, image, pyoidn.OIDN_FORMAT_FLOAT3)
+        self._filter.set_bool("hdr", True)
+        self._filter.set_bool("cleanAux", settings.clean_aux)
+        self._filter.set_quality(getattr(pyoidn, f"OIDN_QUALITY_{settings.quality.upper()}"))
+        if self._weights:
+            _set_weights(self._filter, self._weights)
+        self._filter.commit()
+        self._check()
+
+    def __call__(
+        self,
+        colour: Float[Tensor, "3 h w"],
+        albedo: Float[Tensor, "3 h w"],
+        normal: Float[Tensor, "3 h w"],
+    ) -> Float[Tensor, "3 h w"]:
+        """The denoised image, linear radiance, on the device of `colour`.
+
+        `colour` is linear radiance, albedo in [0, 1], normals in [-1, 1]. The library estimates the
+        exposure itself. Tensors on another device are copied to the CPU and back.
+        """
+        for name, image in zip(IMAGES, (colour, albedo, normal), strict=False):
+            torch.from_numpy(self._images[name]).copy_(image.movedim(0, 2))
+        self._filter.execute()
+        self._check()
+        output = torch.from_numpy(self._images["output"])
+        return output.movedim(2, 0).to(colour.device, copy=True).contiguous()
+
+    def _check(self) -> None:
+        if message := self._device.get_error():
+            raise LibraryError(f"Open Image Denoise: {message}")
+
+
+def library_version() -> str:
+    """Version of the library inside pyoidn, for example "2.5.1"."""
+    import pyoidn
+
+    with pyoidn.Device(pyoidn.OIDN_DEVICE_TYPE_CPU) as device:
+        return ".".join(
+            str(device.get_int(f"version{part}")) for part in ("Major", "Minor", "Patch")
+        )
+
+
+def _set_weights(filter_: Any, weights: bytes) -> None:
+    """Set the filter's data "weights", for which pyoidn has no function; the bytes are shared."""
+    from pyoidn import capi
+
+    folder = Path(capi.__file__).parent / "oidn"
+    name = capi.wrap_dylib("OpenImageDenoise")
+    (path,) = (p for p in (folder / "lib" / name, folder / "bin" / name) if p.exists())
+    set_data = ctypes.CDLL(str(path)).oidnSetSharedFilterData  # the library that pyoidn loaded
+    set_data.argtypes = (ctypes.c_void_p, ctypes.c_char_p, ctypes.c_void_p, ctypes.c_size_t)
+    set_data.restype = None
+    handle = int(capi.oidn_ffi.cast("uintptr_t", filter_._filter))
+    set_data(handle, b"weights", weights, len(weights))
+
 
 get_filter = lru_cache(maxsize=4)(Filter)  # building a filter takes as long as running it
 

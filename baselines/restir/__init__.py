@@ -25,7 +25,7 @@ FAMILY = Family(
             "How far do better direct-light samples get, without a denoiser?",
             Traits(pool=POOL.name, receptive_field=0),
             learned=False,
-        ),
+        )
     },
     build="baselines.restir.method:build",
 )
@@ -39,7 +39,7 @@ DENOISED = Family(
         "": Variant(
             "Does a plain U-Net gain from better direct-light samples, despite correlation?",
             Traits(inputs=frozenset({"albedo", "normal"}), pool=POOL.name, spp_range=(1.0, 8.0)),
-        ),
+        )
     },
     build="baselines.restir.method:build_denoised",
     train="baselines.restir.train:training_task",

@@ -1,4 +1,4 @@
-"""First surfaces along camera rays, and the direct light that a light sample gives there.
+"""First surfaces along camera rays, and the direct and indirect light that they reflect.
 
 A light sample is not stored as a point on a light, but as the two random numbers in [0, 1) from
 which Mitsuba samples the emitters (primary sample space, Kelemen et al. 2002). All pixels map them
@@ -13,7 +13,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Any
 
-__all__ = ["Surface", "finite_luminance"]
+__all__ = ["Surface", "finite_luminance", "trace_indirect"]
 
 
 @dataclass(frozen=True)
@@ -83,3 +83,29 @@ def finite_luminance(colour: Any) -> Any:
 
     value = mi.luminance(colour)
     return dr.select(dr.isfinite(value) & (value > 0), value, 0)
+
+
+def trace_indirect(surface: Surface, path: Any, sampler: Any) -> Any:
+    """Radiance that reaches the first surfaces from other surfaces, by one path each.
+
+    `path` is a Mitsuba integrator and `sampler` its random number generator. The BSDF draws the
+    direction. If the lobe was not a delta lobe, the emission at the path's next hit is subtracted,
+    because that is direct light, which the reservoirs provide. Light samples cannot provide it for
+    delta lobes (mirror and glass), so there it stays.
+    """
+    import drjit as dr
+    import mitsuba as mi
+
+    scene, hit = surface.scene, surface.hit
+    valid = hit.is_valid()
+    sample, weight = surface.bsdf.sample(
+        mi.BSDFContext(), hit, sampler.next_1d(), sampler.next_2d(), valid
+    )
+    valid &= dr.any(weight != 0)
+    ray = mi.RayDifferential3f(hit.spawn_ray(hit.to_world(sample.wo)))
+    radiance, _, _ = path.sample(scene, sampler, ray, active=valid)
+    is_delta = mi.has_flag(sample.sampled_type, mi.BSDFFlags.Delta)
+    next_hit = scene.ray_intersect(ray, valid & ~is_delta)
+    direct = next_hit.emitter(scene).eval(next_hit, valid & ~is_delta)
+    indirect = dr.select(is_delta, radiance, dr.maximum(radiance - direct, 0))
+    return dr.select(valid, weight * indirect, 0)

@@ -1,10 +1,14 @@
-"""Accumulators: the radiance that the denoiser reads, and the image from its output."""
+"""Accumulators: the radiance that the denoiser reads, and the image from its output.
+
+`accumulate` returns the radiance up to this frame without holes, and the frame with the history
+that is kept. `reconstruct` returns the image in linear radiance, and the latent for the next frame.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Protocol
+from typing import NamedTuple
 
 import torch
 from jaxtyping import Float, Int
@@ -13,121 +17,66 @@ from torch import Tensor
 from baselines.accumulate.memory import trust_by_rule
 from baselines.oidn.method import encode_inputs as oidn_inputs
 from baselines.oidn.method import to_signed_radiance
-from methods.ours.rejection import HistoryRejection
-from methods.ours.sample_encoding import MISSING
-from methods.ours.state import ReprojectedHistory, network_features
+from methods.ours.history import ReprojectedHistory, network_features
+from methods.ours.networks import MISSING
 from rlbench.frames import GBuffer, Samples
-from rlbench.ops.accumulation import (
-    AccumulatedRadiance,
-    accumulate,
-    fill_holes,
-    frame_radiance,
-)
+from rlbench.ops.accumulation import AccumulatedRadiance, accumulate, fill_holes, frame_radiance
+from rlbench.ops.antilag import history_confidence
 from rlbench.ops.exposure import autoexposure
 from rlbench.ops.kernels import apply_kernels
 from rlbench.ops.transfer import log_forward, log_inverse
 
-__all__ = ["Accumulator", "FrameRadiance", "RuleRadiance", "StateOnly", "TemporalRadiance"]
+__all__ = [
+    "Accumulator",
+    "FrameRadiance",
+    "RuleRadiance",
+    "SampledFrame",
+    "StateOnly",
+    "TemporalRadiance",
+    "hold_static",
+]
 
 Denoiser = Callable[[Float[Tensor, "n c h w"]], Float[Tensor, "n c2 h w"]]
 
 
-class Accumulator(Protocol):
-    """Accumulates radiance before the denoiser and reconstructs the image behind it.
+class SampledFrame(NamedTuple):
+    """What is known of a frame before it is denoised."""
 
-    `trust` in the accumulated radiance, in [0, 1], is an output of the encoder: one channel with
-    temporal accumulation, zero channels without.
-    """
-
-    def hold_static(
-        self,
-        latent: Float[Tensor, "n s h w"],
-        trust: Float[Tensor, "n _ h w"],
-        counts: Int[Tensor, "n 1 h w"],
-        history: ReprojectedHistory,
-    ) -> tuple[Float[Tensor, "n s h w"], Float[Tensor, "n _ h w"]]:
-        """Latent and trust, with those of static pixels that got no sample replaced."""
-
-    def accumulate(
-        self,
-        gbuffer: GBuffer,
-        samples: Samples,
-        trust: Float[Tensor, "n _ h w"],
-        history: ReprojectedHistory,
-    ) -> tuple[AccumulatedRadiance, ReprojectedHistory]:
-        """Radiance up to this frame without holes, and the history that was not rejected."""
-
-    def reconstruct(
-        self,
-        denoiser: Denoiser,
-        gbuffer: GBuffer,
-        latent: Float[Tensor, "n s h w"],
-        radiance: AccumulatedRadiance,
-        history: ReprojectedHistory,
-    ) -> tuple[Float[Tensor, "n 3 h w"], Float[Tensor, "n s h w"]]:
-        """The image in linear radiance, and the latent for the next frame."""
+    gbuffer: GBuffer
+    samples: Samples
+    history: ReprojectedHistory
+    latent: Float[Tensor, "n s h w"]
+    trust: Float[Tensor, "n _ h w"]  # in accumulated radiance, in [0, 1]; by the encoder
 
 
 @dataclass(frozen=True)
 class StateOnly:
     """No radiance: the denoiser reads the recurrent state alone, as in the paper."""
 
-    def hold_static(
-        self,
-        latent: Float[Tensor, "n s h w"],
-        trust: Float[Tensor, "n _ h w"],
-        counts: Int[Tensor, "n 1 h w"],
-        history: ReprojectedHistory,
-    ) -> tuple[Float[Tensor, "n s h w"], Float[Tensor, "n _ h w"]]:
-        """Both, unchanged."""
-        return latent, trust
-
-    def accumulate(
-        self,
-        gbuffer: GBuffer,
-        samples: Samples,
-        trust: Float[Tensor, "n _ h w"],
-        history: ReprojectedHistory,
-    ) -> tuple[AccumulatedRadiance, ReprojectedHistory]:
-        """The history, unchanged, and its radiance, which has zero channels."""
-        return history.radiance, history
+    def accumulate(self, frame: SampledFrame) -> tuple[AccumulatedRadiance, SampledFrame]:
+        """The radiance of the history, which has zero channels."""
+        return frame.history.radiance, frame
 
     def reconstruct(
-        self,
-        denoiser: Denoiser,
-        gbuffer: GBuffer,
-        latent: Float[Tensor, "n s h w"],
-        radiance: AccumulatedRadiance,
-        history: ReprojectedHistory,
+        self, denoiser: Denoiser, frame: SampledFrame, radiance: AccumulatedRadiance
     ) -> tuple[Float[Tensor, "n 3 h w"], Float[Tensor, "n s h w"]]:
         """The denoiser's output, which is in log transfer, and the same latent."""
-        return log_inverse(denoiser(latent)), latent
+        return log_inverse(denoiser(frame.latent)), frame.latent
 
 
 @dataclass(frozen=True)
-class FrameRadiance(StateOnly):
+class FrameRadiance:
     """The radiance of one frame; the denoiser reads it as Open Image Denoise (Afra 2019) does."""
 
-    def accumulate(
-        self,
-        gbuffer: GBuffer,
-        samples: Samples,
-        trust: Float[Tensor, "n _ h w"],
-        history: ReprojectedHistory,
-    ) -> tuple[AccumulatedRadiance, ReprojectedHistory]:
+    def accumulate(self, frame: SampledFrame) -> tuple[AccumulatedRadiance, SampledFrame]:
         """The mean of this frame's samples, with holes filled."""
-        return fill_holes(frame_radiance(samples.radiance, samples.counts), gbuffer.albedo), history
+        return fill_holes(_current_radiance(frame), frame.gbuffer.albedo), frame
 
     def reconstruct(
-        self,
-        denoiser: Denoiser,
-        gbuffer: GBuffer,
-        latent: Float[Tensor, "n s h w"],
-        radiance: AccumulatedRadiance,
-        history: ReprojectedHistory,
+        self, denoiser: Denoiser, frame: SampledFrame, radiance: AccumulatedRadiance
     ) -> tuple[Float[Tensor, "n 3 h w"], Float[Tensor, "n s h w"]]:
         """The denoiser's output, un-exposed and out of PU transfer, and the same latent."""
-        return _denoise_exposed(denoiser, gbuffer, latent, radiance)[0], latent
+        return _denoise_exposed(denoiser, frame.gbuffer, frame.latent, radiance)[0], frame.latent
 
 
 @dataclass(frozen=True)
@@ -138,49 +87,26 @@ class TemporalRadiance:
     previous image is kept.
     """
 
-    rejection: HistoryRejection
+    antilag: bool  # reduce history where new samples contradict it (`history_confidence`)
 
-    def hold_static(
-        self,
-        latent: Float[Tensor, "n s h w"],
-        trust: Float[Tensor, "n _ h w"],
-        counts: Int[Tensor, "n 1 h w"],
-        history: ReprojectedHistory,
-    ) -> tuple[Float[Tensor, "n s h w"], Float[Tensor, "n _ h w"]]:
-        """A static pixel trusts its radiance in full, so that its error falls from frame to frame.
-
-        Without samples it keeps its latent too.
-        """
-        held = history.static_mask & (counts == 0)
-        return history.features.where(held, latent), trust.masked_fill(history.static_mask, 1.0)
-
-    def accumulate(
-        self,
-        gbuffer: GBuffer,
-        samples: Samples,
-        trust: Float[Tensor, "n _ h w"],
-        history: ReprojectedHistory,
-    ) -> tuple[AccumulatedRadiance, ReprojectedHistory]:
+    def accumulate(self, frame: SampledFrame) -> tuple[AccumulatedRadiance, SampledFrame]:
         """Samples of this frame and trusted history, with holes filled."""
-        current = frame_radiance(samples.radiance, samples.counts)
-        history = self.rejection.apply(history, current)
-        radiance = accumulate(history.radiance, current, trust)
-        return fill_holes(radiance, gbuffer.albedo), history
+        current, history = _current_radiance(frame), frame.history
+        if self.antilag:
+            confidence = history_confidence(history.radiance, current, history.image)
+            history = history.with_confidence(confidence)
+        radiance = accumulate(history.radiance, current, frame.trust)
+        return fill_holes(radiance, frame.gbuffer.albedo), frame._replace(history=history)
 
     def reconstruct(
-        self,
-        denoiser: Denoiser,
-        gbuffer: GBuffer,
-        latent: Float[Tensor, "n s h w"],
-        radiance: AccumulatedRadiance,
-        history: ReprojectedHistory,
+        self, denoiser: Denoiser, frame: SampledFrame, radiance: AccumulatedRadiance
     ) -> tuple[Float[Tensor, "n 3 h w"], Float[Tensor, "n s h w"]]:
         """The denoiser's colour and the previous image, mixed in log transfer; the same latent.
 
         The weight of the previous image is the denoiser's fourth channel times surface similarity.
         """
-        image, blend = _denoise_exposed(denoiser, gbuffer, latent, radiance)
-        return mix_with_previous(image, blend, history), latent
+        image, blend = _denoise_exposed(denoiser, frame.gbuffer, frame.latent, radiance)
+        return mix_with_previous(image, blend, frame.history), frame.latent
 
 
 @dataclass(frozen=True)
@@ -196,30 +122,19 @@ class RuleRadiance(TemporalRadiance):
 
     kernel_taps: int = 0  # neighbours of a pixel, with the pixel itself
 
-    def accumulate(
-        self,
-        gbuffer: GBuffer,
-        samples: Samples,
-        trust: Float[Tensor, "n _ h w"],
-        history: ReprojectedHistory,
-    ) -> tuple[AccumulatedRadiance, ReprojectedHistory]:
+    def accumulate(self, frame: SampledFrame) -> tuple[AccumulatedRadiance, SampledFrame]:
         """Samples of this frame and history that fades by a fifth, with holes filled."""
-        return super().accumulate(gbuffer, samples, trust_by_rule(history.static_mask), history)
+        return super().accumulate(frame._replace(trust=trust_by_rule(frame.history.static_mask)))
 
     def reconstruct(
-        self,
-        denoiser: Denoiser,
-        gbuffer: GBuffer,
-        latent: Float[Tensor, "n s h w"],
-        radiance: AccumulatedRadiance,
-        history: ReprojectedHistory,
+        self, denoiser: Denoiser, frame: SampledFrame, radiance: AccumulatedRadiance
     ) -> tuple[Float[Tensor, "n 3 h w"], Float[Tensor, "n s h w"]]:
         """The denoiser's colour and the previous image, mixed in log transfer; the next latent."""
-        known = history.similarity > 0
+        history, latent = frame.history, frame.latent
         statistics = network_features(radiance)[:, 3:]  # without the mean, which is an input
-        previous = history.image.where(known, MISSING)
+        previous = history.image.where(history.similarity > 0, MISSING)
         features = torch.cat((previous, statistics, history.similarity, latent), dim=1)
-        image, others = _denoise_exposed(denoiser, gbuffer, features, radiance)
+        image, others = _denoise_exposed(denoiser, frame.gbuffer, features, radiance)
         sizes = [1, latent.shape[1], self.kernel_taps and 1, self.kernel_taps]
         blend, written, gate, kernels = others.split_with_sizes(sizes, dim=1)
         if self.kernel_taps:
@@ -229,14 +144,33 @@ class RuleRadiance(TemporalRadiance):
         return mix_with_previous(image, blend, history), written.tanh()
 
 
-def mix_with_previous(
-    image: Float[Tensor, "n 3 h w"],
-    blend: Float[Tensor, "n 1 h w"],
+Accumulator = StateOnly | FrameRadiance | TemporalRadiance
+
+
+def hold_static(
+    latent: Float[Tensor, "n s h w"],
+    trust: Float[Tensor, "n 1 h w"],
+    counts: Int[Tensor, "n 1 h w"],
     history: ReprojectedHistory,
+) -> tuple[Float[Tensor, "n s h w"], Float[Tensor, "n 1 h w"]]:
+    """Latent and trust; a static pixel trusts its radiance in full, so that its error falls.
+
+    Without samples it keeps its latent too.
+    """
+    held = history.static_mask & (counts == 0)
+    return history.features.where(held, latent), trust.masked_fill(history.static_mask, 1.0)
+
+
+def mix_with_previous(
+    image: Float[Tensor, "n 3 h w"], blend: Float[Tensor, "n 1 h w"], history: ReprojectedHistory
 ) -> Float[Tensor, "n 3 h w"]:
     """The image mixed with the previous one in log transfer; `blend` is the logit of its weight."""
     weight = blend.sigmoid() * history.similarity
     return log_inverse(torch.lerp(log_forward(image), history.image, weight))
+
+
+def _current_radiance(frame: SampledFrame) -> AccumulatedRadiance:
+    return frame_radiance(frame.samples.radiance, frame.samples.counts)
 
 
 def _denoise_exposed(

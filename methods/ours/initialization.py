@@ -8,18 +8,19 @@ import torch
 from torch import Tensor, nn
 
 from baselines.oidn.method import published_network, tuned_network
+from methods.ours import Config
 from methods.ours.networks import (
     DEVIATION_INPUT,
     GBUFFER_CHANNELS,
     HISTORY_INPUTS,
+    SAMPLE_ENCODINGS,
     Encoder,
     Networks,
     Sampler,
 )
-from methods.ours.sample_encoding import SAMPLE_ENCODINGS
-from methods.ours.variants import Config
 from rlbench.ops.init import kaiming_init
-from rlbench.ops.unet import BASE_WIDTHS, FAST_WIDTHS, UNet
+from rlbench.ops.unet import UNet
+from rlbench.ops.unet_widths import BASE_WIDTHS, FAST_WIDTHS
 
 __all__ = ["initialize", "wire_contrast"]
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
@@ -10,33 +11,26 @@ from jaxtyping import Float, Int
 from torch import Tensor
 
 from baselines.accumulate.density import contrast, mix_with_uniform
-from methods.ours import FAMILY
+from methods.ours import FAMILY, VARIANTS, Config
 from methods.ours.accumulators import (
     Accumulator,
     FrameRadiance,
     RuleRadiance,
+    SampledFrame,
     StateOnly,
     TemporalRadiance,
+    hold_static,
 )
-from methods.ours.density import DENSITIES, ActionDensity
 from methods.ours.history import (
     DenoisedFrame,
-    HistoryModel,
-    LatentHistory,
-    NoHistory,
+    FeatureHistory,
     RadianceHistory,
-    SampleHistory,
-)
-from methods.ours.initialization import initialize
-from methods.ours.networks import Networks, Sampler
-from methods.ours.rejection import AntiLag, KeepHistory
-from methods.ours.sample_encoding import SAMPLE_ENCODINGS, SampleEncoding
-from methods.ours.state import (
     RecurrentState,
     ReprojectedHistory,
     gbuffer_features,
 )
-from methods.ours.variants import VARIANTS, Config
+from methods.ours.initialization import initialize
+from methods.ours.networks import SAMPLE_ENCODINGS, Networks, Sampler, history_features
 from rlbench.family import Family, Traits
 from rlbench.frames import GBuffer, Samples, Size
 from rlbench.ops.fireflies import limit_fireflies
@@ -46,10 +40,33 @@ from rlbench.ops.padding import crop, pad
 from rlbench.ops.reprojection import ReprojectionMemo
 from rlbench.weights import load_for_inference
 
-__all__ = ["CARDS", "Ours", "assemble", "build", "build_config"]
+__all__ = ["CARDS", "DENSITIES", "Ours", "assemble", "build", "build_config", "linear_density"]
 
 CARDS = Path(__file__).parent / "cards"
 MULTIPLE = 16  # pixels; the denoiser halves the image four times
+LOG_RANGE = 1.5  # logarithm of the exponential density of action 1; action 0 has density 1
+
+
+def exponential_density(action: Float[Tensor, "*k n 1 h w"]) -> Float[Tensor, "*k n 1 h w"]:
+    """Density exp(1.5 action), for actions clamped to [-1, 1]: no pixel is excluded.
+
+    Equal steps of the action are equal relative changes of the count, at both ends of the range.
+
+    >>> exponential_density(torch.zeros(1, 1, 1, 2))
+    tensor([[[[1., 1.]]]])
+    """
+    return torch.exp(LOG_RANGE * action.clamp(-1, 1))
+
+
+def linear_density(action: Float[Tensor, "*k n 1 h w"]) -> Float[Tensor, "*k n 1 h w"]:
+    """Density 1 + action: the height above the lowest possible action, as in `ours/paper`."""
+    return 1 + action.clamp(-1, 1)
+
+
+DENSITIES: Mapping[str, Callable[[Tensor], Tensor]] = {
+    "exponential": exponential_density,
+    "linear": linear_density,
+}
 
 
 @dataclass(frozen=True)
@@ -66,20 +83,18 @@ class Ours:
     normal as Open Image Denoise (Afra 2019) does, followed by the state, and starts from Intel's
     weights where Intel has a network of its size. Also, in all but B1 and B2: radiance is
     accumulated beside the state, with a trust that the encoder predicts; the denoiser predicts how
-    far the previous image is kept; new samples that contradict both reduce both (antilag.py);
-    sampler and encoder read both. A static pixel trusts its radiance in full, so that a still
-    camera converges; without samples it keeps its state too. The sampler reads the spp of the
-    previous frame, by which it scales the contrast of its map. Fireflies are limited
-    (rlbench.ops.limit_fireflies), and a pixel of broken history is replaced by a neighbour.
+    far the previous image is kept; new samples that contradict both reduce both
+    (rlbench.ops.antilag); sampler and encoder read both. A static pixel trusts its radiance in
+    full, so that a still camera converges; without samples it keeps its state too. The sampler
+    reads the spp of the previous frame, by which it scales the contrast of its map. Fireflies are
+    limited (rlbench.ops.limit_fireflies), and a pixel of broken history is replaced by a neighbour.
     """
 
     config: Config  # recorded in results; the parts below follow from it, see `assemble`
     traits: Traits
     networks: Networks
     sampler: Sampler | None  # None samples uniformly
-    action_density: ActionDensity
-    sample_encoding: SampleEncoding
-    history: HistoryModel
+    history: FeatureHistory
     accumulator: Accumulator
     memo: ReprojectionMemo[ReprojectedHistory] = field(
         default_factory=ReprojectionMemo, repr=False, compare=False
@@ -101,7 +116,7 @@ class Ours:
         self, action: Float[Tensor, "*k n 1 h w"], gbuffer: GBuffer, state: RecurrentState
     ) -> Float[Tensor, "*k n 1 h w"]:
         """The density of an action, on top of the contrast rule's if the variant has one."""
-        density = self.action_density(action)
+        density = DENSITIES[self.config.density](action)
         if not self.config.contrast_density or state.age == 0:
             return density
         with torch.no_grad():
@@ -116,12 +131,12 @@ class Ours:
         limited = limit_fireflies(samples.radiance, samples.counts)
         samples = replace(samples, radiance=limited)
         history = self.reproject(gbuffer, state)
-        encoded = self.sample_encoding.encode(samples)
+        encoded = SAMPLE_ENCODINGS[self.config.sample_encoding].encode(samples)
         latent, trust = self._encode(gbuffer, encoded, samples.counts, history)
-        radiance, history = self.accumulator.accumulate(gbuffer, samples, trust, history)
-        image, latent = self.accumulator.reconstruct(
-            self._run_denoiser, gbuffer, latent, radiance, history
+        radiance, sampled = self.accumulator.accumulate(
+            SampledFrame(gbuffer, samples, history, latent, trust)
         )
+        image, latent = self.accumulator.reconstruct(self._run_denoiser, sampled, radiance)
         frame = DenoisedFrame(gbuffer, samples, encoded, latent, radiance, image)
         return image, self.history.remember(frame, state.age + 1)
 
@@ -158,7 +173,9 @@ class Ours:
         h, w = inputs.shape[-2:]
         output = crop(to_contiguous_float32(self.networks.encoder(pad(inputs, MULTIPLE))), h, w)
         latent, trust = output[:, : self.config.latent], (1 + output[:, self.config.latent :]) / 2
-        return self.accumulator.hold_static(latent, trust, counts, history)
+        if not self.config.accumulates:
+            return latent, trust
+        return hold_static(latent, trust, counts, history)
 
     def _run_denoiser(self, inputs: Float[Tensor, "n c h w"]) -> Float[Tensor, "n c2 h w"]:
         """The denoiser's output; colour is clamped to >= 0 except during training."""
@@ -171,28 +188,19 @@ class Ours:
 
 def assemble(config: Config, traits: Traits, networks: Networks) -> Ours:
     """The method with the parts that a config names."""
-    rejection = AntiLag() if config.antilag else KeepHistory()
     accumulators: dict[str, Accumulator] = {
         "none": StateOnly(),
         "frame": FrameRadiance(),
-        "temporal": TemporalRadiance(rejection),
-        "rule": RuleRadiance(rejection, config.kernel_taps),
+        "temporal": TemporalRadiance(config.antilag),
+        "rule": RuleRadiance(config.antilag, config.kernel_taps),
     }
-    latent_history = RadianceHistory if config.accumulates else LatentHistory
-    sample_encoding = SAMPLE_ENCODINGS[config.sample_encoding]
-    histories: dict[str, HistoryModel] = {
-        "state": latent_history(config.latent, config.bptt),
-        "samples": SampleHistory(sample_encoding.channels, config.bptt),
-        "nothing": NoHistory(),
-    }
+    history = RadianceHistory if config.accumulates else FeatureHistory
     return Ours(
         config=config,
         traits=traits,
         networks=networks,
         sampler=None if config.ignore_density else networks.sampler,
-        action_density=DENSITIES[config.density],
-        sample_encoding=sample_encoding,
-        history=histories[config.history_mode],
+        history=history(config.history_mode, history_features(config), config.bptt),
         accumulator=accumulators[config.accumulation],
     )
 

@@ -1,27 +1,83 @@
-"""The three networks, layer by layer: sampler, state encoder, denoiser."""
+"""The three networks, layer by layer, and how samples enter them."""
 
 from __future__ import annotations
 
+from collections.abc import Callable, Mapping
 from itertools import pairwise
+from typing import NamedTuple
 
 import torch
 from jaxtyping import Float
 from torch import Tensor, nn
 from torch.nn import functional as F
 
-from methods.ours.sample_encoding import SAMPLE_ENCODINGS
-from methods.ours.variants import Config
+from methods.ours import SLOTS, Config
+from rlbench.frames import Samples
 from rlbench.ops.memory_format import to_channels_last
+from rlbench.ops.transfer import log_forward
 from rlbench.ops.unet import UNet
 
-__all__ = ["Encoder", "Networks", "Sampler"]
+__all__ = [
+    "MISSING",
+    "SAMPLE_ENCODINGS",
+    "Encoder",
+    "Networks",
+    "SampleEncoding",
+    "Sampler",
+    "history_features",
+]
 
+MISSING = -1.0  # marks an empty sample slot, or a state without valid history
 GBUFFER_CHANNELS = 7  # normal 3, albedo 3, depth 1
 DENOISER_INPUTS = 9  # of Open Image Denoise: colour 3, albedo 3, normal 3
 # of accumulated radiance: previous image 3, mean 3, relative deviation 1, weight 1, similarity 1
 HISTORY_INPUTS = 9
 RADIANCE_FEATURES = 6  # previous image 3, relative deviation 1, weight 1, similarity 1
 DEVIATION_INPUT = 6  # index of the relative deviation in these
+
+
+class SampleEncoding(NamedTuple):
+    """How a varying number of samples becomes a fixed number of channels, in log transfer."""
+
+    channels: int
+    encode: Callable[[Samples], Float[Tensor, "n c h w"]]
+
+
+def encode_single(samples: Samples) -> Float[Tensor, "n 24 h w"]:
+    """Slot after slot; MISSING in empty ones."""
+    values = log_forward(samples.radiance).where(samples.valid_mask, MISSING)  # n s 3 h w
+    empty = SLOTS - values.shape[1]
+    return F.pad(values, (0,) * 7 + (empty,), value=MISSING).flatten(1, 2)
+
+
+def encode_mean(samples: Samples) -> Float[Tensor, "n 3 h w"]:
+    """The mean; MISSING in a pixel without samples."""
+    return log_forward(samples.mean).where(samples.counts > 0, MISSING)
+
+
+def encode_mean_and_count(samples: Samples) -> Float[Tensor, "n 4 h w"]:
+    """The mean, then the count as a share of SLOTS."""
+    return torch.cat((encode_mean(samples), samples.counts / SLOTS), dim=1)
+
+
+def encode_nothing(samples: Samples) -> Float[Tensor, "n 0 h w"]:
+    """A tensor of zero channels, for variants without an encoder."""
+    n, _, _, h, w = samples.radiance.shape
+    return samples.radiance.new_empty(n, 0, h, w)
+
+
+SAMPLE_ENCODINGS: Mapping[str, SampleEncoding] = {
+    "single": SampleEncoding(3 * SLOTS, encode_single),
+    "mean": SampleEncoding(3, encode_mean),
+    "mean and count": SampleEncoding(4, encode_mean_and_count),
+    "none": SampleEncoding(0, encode_nothing),
+}
+
+
+def history_features(config: Config) -> int:
+    """Channels of the features that a variant carries from frame to frame."""
+    samples = SAMPLE_ENCODINGS[config.sample_encoding].channels
+    return {"state": config.latent, "samples": samples, "nothing": 0}[config.history_mode]
 
 
 class Sampler(nn.Module):
@@ -105,8 +161,8 @@ class Networks(nn.Module):
         """Build the networks of `config`, with weights from torch's default generator."""
         super().__init__()
         samples = SAMPLE_ENCODINGS[config.sample_encoding].channels
-        features = {"state": config.latent, "samples": samples, "nothing": 0}[config.history_mode]
-        history = GBUFFER_CHANNELS + features + HISTORY_INPUTS * config.accumulates
+        history = GBUFFER_CHANNELS + history_features(config)
+        history += HISTORY_INPUTS * config.accumulates
         self.sampler_channels = history + config.accumulates  # and the logarithm of the last spp
         self.sampler = None
         if config.sampler:

@@ -6,36 +6,36 @@ Command: rlbench train --methods ours
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
+from typing import NamedTuple
 
 import torch
 from jaxtyping import Float
 from torch import Tensor
 
 from baselines.oidn.train import FINE_TUNING_MAX_LR
-from methods.ours import FAMILY
-from methods.ours.episode_problem import EpisodeProblem
-from methods.ours.frame_problem import FrameProblem
+from methods.ours import FAMILY, LATENT, VARIANTS, Config
+from methods.ours.history import RecurrentState, detach
 from methods.ours.initialization import initialize
 from methods.ours.method import Ours, assemble
 from methods.ours.networks import Networks
-from methods.ours.one_policy import one_policy_task
 from methods.ours.policy import APPO, BlockPolicyGradient, make_learner
-from methods.ours.state import RecurrentState, detach
-from methods.ours.variants import LATENT, VARIANTS, Config
+from methods.ours.policy.joint_appo import JointAppo, Trajectory
+from methods.ours.problem import EpisodeProblem, FrameProblem, reward
 from rlbench.family import Traits
 from rlbench.frames import Clip, Frame, GBuffer, Samples
 from rlbench.ops.losses import display_mse, log_loss, log_transfer_loss
-from rlbench.run import unroll
+from rlbench.run import FrameResult, unroll
 from rlbench.training.task import BUDGETS_FROM_0_05_SPP, TrainingTask
 from rlbench.wrappers import MethodWrapper
 
-__all__ = ["ExploringMethod", "config_task", "training_task"]
+__all__ = ["ActingMethod", "ExploringMethod", "config_task", "training_task"]
 
 MAX_LR = 3e-4  # from random weights
 LR_MULTIPLIERS = {"encoder": 0.2, "sampler": 3.0}  # at 1.0 the encoder's tanh saturates
 FINETUNING_MULTIPLIERS = {"encoder": 2.0, "sampler": 6.0, "auxiliary_network": 25.0}
+VALUE_LR_MULTIPLIER = 25.0  # of the value of JointAppo
 SAMPLER_INTERVAL = 2  # frames between steps of the sampler
 SAMPLER_WEIGHT = 0.1  # of the learner's loss; only the sampler gets it, so it matters for clipping
 
@@ -101,7 +101,7 @@ def config_task(config: Config, traits: Traits, device: torch.device, seed: int)
     networks.to(device)
     method = assemble(config, traits, networks)
     if config.learner == APPO:
-        return one_policy_task(method, device, MAX_LR, LR_MULTIPLIERS)
+        return one_policy_task(method, device)
     learner = make_learner(config.learner, networks.sampler_channels)
     auxiliary = learner.network.to(device) if learner.network is not None else None
     exploring = ExploringMethod(method)
@@ -160,3 +160,81 @@ def width_multiplier(widths: tuple[int, ...]) -> float:
     stripes.
     """
     return min(1.0, LATENT.sampler[0] / widths[0]) if widths else 1.0
+
+
+class Act(NamedTuple):
+    """One frame: what the policy saw, its mean, and its action."""
+
+    observation: Float[Tensor, "n c h w"]
+    mean: Float[Tensor, "n 1 h w"]
+    action: Float[Tensor, "n 1 h w"]
+
+
+@dataclass(frozen=True)
+class ActingMethod(MethodWrapper[Ours]):
+    """`ours` with actions that are drawn, and recorded, in every frame."""
+
+    learner: JointAppo
+    generator: torch.Generator = field(default_factory=torch.Generator)
+    acts: list[Act] = field(default_factory=list)
+
+    def begin_episode(self, seed: int) -> None:
+        """Forget the last episode, and seed the actions."""
+        self.generator.manual_seed(seed)
+        self.acts.clear()
+        self.learner.begin_episode()
+
+    def plan(
+        self, gbuffer: GBuffer, samples: Samples, state: RecurrentState
+    ) -> Float[Tensor, "n 1 h w"]:
+        """The density of a drawn action."""
+        with torch.no_grad():
+            observation = self.method.reproject(gbuffer, state).sampler_inputs
+        mean, action = self.learner.act(observation, self.generator)
+        self.acts.append(Act(observation, mean, action))
+        return self.method.to_density(action, gbuffer, state)
+
+    def trajectory(self, rewards: list[Float[Tensor, " n"]]) -> Trajectory:
+        """The episode, with the reward of each of its frames."""
+        observations, means, actions = map(torch.stack, zip(*self.acts, strict=True))
+        return Trajectory(observations, means, actions, torch.stack(rewards))
+
+
+def one_policy_task(method: Ours, device: torch.device) -> TrainingTask:
+    """`ours/paper-appo`: encoder and denoiser learn from every image, one policy from episodes."""
+    networks = method.networks
+    assert networks.sampler is not None
+    learner = JointAppo.of_sampler(networks.sampler, networks.sampler_channels, method.config.gamma)
+    learner.network.to(device)
+    return TrainingTask(
+        method,
+        networks,
+        episode_losses(ActingMethod(method, learner)),
+        BUDGETS_FROM_0_05_SPP,
+        MAX_LR,
+        {**LR_MULTIPLIERS, "auxiliary_network": VALUE_LR_MULTIPLIER},
+        auxiliary_network=learner.network,
+    )
+
+
+def episode_losses(acting: ActingMethod) -> Callable[[Clip, float], Iterator[Tensor]]:
+    """The losses of an episode: one a frame for the image, then the policy's."""
+
+    def losses(clip: Clip, spp: float) -> Iterator[Tensor]:
+        acting.begin_episode(next(iter(clip)).pool.rounding_seeds[0])
+        rewards = []
+        for result in unroll(acting, clip, spp):
+            loss = image_losses(result)
+            rewards.append(reward(loss.detach().float()))
+            yield loss.mean()
+        trajectory = acting.trajectory(rewards)
+        for _ in range(acting.learner.passes):
+            yield acting.learner.loss(trajectory)
+
+    return losses
+
+
+def image_losses(result: FrameResult) -> Float[Tensor, " n"]:
+    """0.16 L1 + 0.84 (1 - MS-SSIM) of each image, in log transfer."""
+    pairs = zip(result.image, result.frame.reference.mean, strict=True)
+    return torch.stack([log_transfer_loss(image[None], truth[None]) for image, truth in pairs])

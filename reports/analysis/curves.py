@@ -1,4 +1,4 @@
-"""A method between its measured budgets: score and frame time at any spp, best spp in a deadline.
+"""A method between its measured budgets: score and frame time at any spp, and who wins a deadline.
 
 Scores are interpolated linearly in log spp, so that a curve rises wherever its measured points
 rise; times are interpolated linearly in spp. Nothing is extrapolated, and there is nothing between
@@ -7,21 +7,20 @@ a budget of 0 spp and the next one.
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
-from reports.analysis.aggregate import INFERENCE, Scores, mean_over_scenes
-
-__all__ = ["Curve", "curves_of", "measured_sample_ms", "methods_without_curve"]
+from reports.analysis.scores import INFERENCE, Scores, mean_over_scenes
 
 Numbers = NDArray[np.float64]
-LATE_PARTS = ("plan_p95_ms", "denoise_p95_ms")  # of older results, which lack the p95 of their sum
-COLUMNS = ("fixed_ms", "samples", "late_ms")
 TINY = 1e-9  # stands for a budget of 0 spp, whose logarithm would be infinite
+NOTHING = -1  # in place of a method where none fits
+STEPS = 8  # places that are examined between two meeting points
+BISECTIONS = 60  # more than a double has bits
 
 
 @dataclass(frozen=True, eq=False)
@@ -90,21 +89,17 @@ class Curve:
 
 def curves_of(scores: Scores) -> list[Curve]:
     """The curve of each method, by name, over the budgets with scores and times on every scene."""
-    points = scores.points.assign(
-        samples=_in_path_samples(scores.points),
-        fixed_ms=scores.points["inference_ms"],
-        late_ms=_late_ms(scores),
-    )
-    budgets = mean_over_scenes(points).dropna(subset=["fixed_ms", "samples"])
+    points = scores.points.assign(samples=_in_path_samples(scores.points))
+    budgets = mean_over_scenes(points).dropna(subset=["inference_ms", "samples"])
     unit = "scene" if scores.scene_means["scene"].nunique() > 1 else "clip"
     means = scores.scene_means if unit == "scene" else scores.clip_means
     units = means.pivot(index=["method", "target_spp"], columns=unit, values="value")
     sign = -1 if scores.direction == "lower" else 1
+    columns = ["target_spp", "inference_ms", "samples", "inference_p95_ms"]
     curves = []
     for method, rows in budgets.sort_values("target_spp").groupby("method"):
         table = units.loc[[(method, spp) for spp in rows["target_spp"]]].to_numpy(float)
-        fixed, samples, late = (rows[name].to_numpy(float) for name in COLUMNS)
-        spp = rows["target_spp"].to_numpy(float)
+        spp, fixed, samples, late = (rows[name].to_numpy(float) for name in columns)
         curves.append(Curve(str(method), spp, table, fixed, samples, late, sign))
     return curves
 
@@ -145,11 +140,81 @@ def _in_path_samples(points: pd.DataFrame) -> pd.Series[float]:
     return points["mean_spp"] * points["sample_ms"] / float(path.mean())
 
 
-def _late_ms(scores: Scores) -> pd.Series[float]:
-    """p95 of plan + allocate + denoise for each row of `scores.points`, in ms."""
-    keys = ["method", "scene", "target_spp"]
-    rows = scores.rows[scores.rows["metric"].isin(LATE_PARTS)]
-    parts = rows.pivot_table("value", keys, "metric").reindex(columns=list(LATE_PARTS))
-    summed = parts.sum(axis=1, skipna=False).rename("late_ms")
-    late: pd.Series[float] = scores.points["inference_p95_ms"].astype(float)
-    return late.fillna(scores.points.join(summed, on=keys)["late_ms"])
+@dataclass(frozen=True, eq=False)
+class Winners:
+    """For each of n pairs of deadline and cost: the methods that fit, the best one first."""
+
+    order: NDArray[np.intp]  # [methods n], indices of the curves, best first
+    spp: Numbers  # [methods n], best budget of each curve; nan where it does not fit
+    values: Numbers  # [methods n], score at that budget
+
+    @property
+    def first(self) -> NDArray[np.intp]:
+        """Index of the winner's curve, [n], or NOTHING."""
+        return self._place(0)
+
+    @property
+    def second(self) -> NDArray[np.intp]:
+        """Index of the runner-up's curve, [n], or NOTHING."""
+        return self._place(1)
+
+    def _place(self, rank: int) -> NDArray[np.intp]:
+        if rank >= len(self.order):
+            return np.full(self.order.shape[1], NOTHING)
+        index = self.order[rank]
+        fits = ~np.isnan(np.take_along_axis(self.spp, index[None], axis=0)[0])
+        return np.where(fits, index, NOTHING)
+
+
+@dataclass(frozen=True)
+class Switch:
+    """A place where the label changes from `before` to `after` as x grows."""
+
+    at: float
+    before: int
+    after: int
+
+
+def find_winners(curves: Sequence[Curve], sample_ms: Numbers, deadline_ms: Numbers) -> Winners:
+    """Order the curves at each pair of cost [n] and deadline [n]; equal scores by their order."""
+    spp = np.stack([curve.best_spp(sample_ms, deadline_ms) for curve in curves])
+    values = np.stack([curve.value_at(s) for curve, s in zip(curves, spp, strict=True)])
+    scores = np.where(np.isnan(values), -np.inf, curves[0].sign * values)
+    return Winners(np.argsort(-scores, axis=0, kind="stable"), spp, values)
+
+
+def find_switches(
+    label: Callable[[Numbers], NDArray[np.intp]], points: Sequence[float]
+) -> list[Switch]:
+    """The places where a label of x > 0 changes, from the smallest to the largest of `points`.
+
+    `points` are the places where the label may begin to behave differently (`meeting_deadlines`). A
+    change and its reversal within an eighth of the way between two of them is not seen.
+    """
+    known = np.unique([x for x in points if 0 < x < np.inf])
+    if len(known) == 0:
+        return []
+    inner = np.linspace(np.log(known[:-1]), np.log(known[1:]), STEPS, endpoint=False)
+    x = np.unique(np.concatenate([np.exp(inner).ravel(), known, known[:1] / 2, known[-1:] * 2]))
+    labels = label(x)
+    (places,) = np.nonzero(labels[:-1] != labels[1:])
+    low, high, before = x[places], x[places + 1], labels[places]
+    for _ in range(BISECTIONS if len(places) else 0):
+        middle = (low + high) / 2
+        is_before = label(middle) == before
+        low, high = np.where(is_before, middle, low), np.where(is_before, high, middle)
+    after = label(high) if len(places) else before
+    parts = zip(high, before, after, strict=True)
+    return [Switch(float(at), int(first), int(second)) for at, first, second in parts]
+
+
+def meeting_deadlines(curves: Sequence[Curve], sample_ms: float) -> list[float]:
+    """Deadlines that measured budgets just meet at this cost of a sample, ms."""
+    return [float(time) for curve in curves for time in curve.frame_ms(sample_ms)]
+
+
+def meeting_costs(curves: Sequence[Curve], deadline_ms: float) -> list[float]:
+    """Costs of a sample at which measured budgets just meet this deadline, ms."""
+    with np.errstate(divide="ignore", invalid="ignore"):
+        costs = [(deadline_ms - curve.fixed_ms) / curve.samples for curve in curves]
+    return [float(cost) for part in costs for cost in part]

@@ -1,4 +1,4 @@
-"""Names beside the ends of curves, in the order of the ends, joined to them by thin lines."""
+"""Names beside the ends of curves, in the order of the ends, and the points that a curve joins."""
 
 from __future__ import annotations
 
@@ -13,14 +13,6 @@ from reports.layout.style import LineStyle
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-__all__ = [
-    "LABEL_DISTANCE",
-    "LABEL_START",
-    "label_curves",
-    "label_width",
-    "marker_size",
-    "spread_labels",
-]
 
 MARKER_SIZE, STAR_SIZE = 7.5, 11.0  # points across; a star of the same width looks smaller
 LABEL_SIZE, LABEL_DISTANCE = 10.5, 0.205  # points; inches between two labels
@@ -113,3 +105,19 @@ def spread_labels(heights: list[float], step: float, low: float, high: float) ->
 
 def _label(method: str, value: float, number_format: str) -> str:
     return f"{method} {value:{number_format}}"
+
+
+def longest_rise(times: Sequence[float]) -> list[int]:
+    """Positions of the longest part of `times` that rises; of equal ones, that which ends first.
+
+    More samples take more time. Where a measured time falls as the budget grows, a busy machine
+    disturbed one of the two points; a line through the others does not run backwards.
+
+    >>> longest_rise([10.0, 30.0, 20.0, 25.0, 40.0])
+    [0, 2, 3, 4]
+    """
+    chains: list[list[int]] = []
+    for i, time in enumerate(times):
+        before = [chain for chain in chains if times[chain[-1]] <= time]
+        chains.append([*max(before, key=len, default=[]), i])
+    return max(chains, key=len, default=[])

@@ -2,16 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable
 from textwrap import fill
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from matplotlib.patches import Rectangle
 from matplotlib.ticker import MaxNLocator
 
-from reports.analysis.crops import Crop
-from reports.analysis.image_errors import Floats, encode_srgb
+from reports.analysis.images import Floats, encode_srgb
 from reports.layout import style
 
 if TYPE_CHECKING:
@@ -19,11 +17,8 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
     from matplotlib.image import AxesImage
 
-__all__ = ["CROP_COLOURS", "add_caption", "add_colour_bar", "draw_crop_frames", "draw_map"]
-__all__ += ["draw_picture", "hide_axes", "symmetric_limit"]
-
-CROP_COLOURS = ("#E69F00", "#56B4E9")  # Okabe and Ito 2008; both are seen on dark and bright
 NONFINITE_COLOUR = (1.0, 0.0, 1.0)  # of NaN and infinite pixels
+FOOTER = 1.35  # inches, of colour bar and caption
 CAPTION_LETTERS = 165  # in a line of 13 inches
 PERCENTILE = 99.0  # of the sizes in maps, at the end of their scale
 
@@ -32,12 +27,14 @@ def draw_picture(axes: Axes, radiance: Floats, title: str = "") -> AxesImage:
     """Show a linear image [3 h w] in sRGB; pixels that are not finite are magenta."""
     display = encode_srgb(radiance).transpose(1, 2, 0)
     finite = np.asarray(np.isfinite(radiance.astype(np.float32)).all(axis=0))
-    return _show(axes, np.where(finite[..., None], display, NONFINITE_COLOUR), title)
+    return draw_map(axes, np.where(finite[..., None], display, NONFINITE_COLOUR), title)
 
 
 def draw_map(axes: Axes, values: Floats, title: str = "", **scale: Any) -> AxesImage:
     """Show a map [h w] with a colour map and limits: `cmap`, `vmin`, `vmax`."""
-    return _show(axes, values, title, **scale)
+    hide_axes(axes)
+    axes.set_title(title, fontsize=10.5, pad=4)
+    return axes.imshow(values, interpolation="nearest", **scale)
 
 
 def hide_axes(axes: Axes) -> None:
@@ -49,27 +46,18 @@ def hide_axes(axes: Axes) -> None:
         spine.set_visible(False)
 
 
-def draw_crop_frames(axes: Axes, crops: Sequence[Crop]) -> None:
-    """Outline crops on the picture of their frame, each in its colour."""
-    for crop, colour in zip(crops, CROP_COLOURS, strict=False):
-        corner = crop.left - 0.5, crop.top - 0.5
-        axes.add_patch(Rectangle(corner, crop.side, crop.side, fill=False, ec=colour, lw=2.2))
-
-
-def symmetric_limit(maps: Sequence[Floats]) -> float:
-    """The end of a scale that is symmetric about zero: PERCENTILE of all sizes; 1 if all are 0."""
+def end_of_scale(maps: Iterable[Floats]) -> float:
+    """The end of a scale from zero, or about zero: PERCENTILE of all sizes; 1 if all are 0."""
     sizes = np.concatenate([np.abs(values).ravel() for values in maps])
     return float(np.percentile(sizes, PERCENTILE)) or float(sizes.max()) or 1.0
 
 
 def add_colour_bar(
-    figure: Figure,
-    drawn: AxesImage,
-    label: str,
-    box: tuple[float, float, float, float],
-    extend: str,
+    figure: Figure, drawn: AxesImage, label: str, span: tuple[float, float], extend: str
 ) -> None:
-    """A horizontal colour bar in `box`: left, bottom, width and height as shares of the figure."""
+    """A horizontal colour bar below the panels; `span`: left and width as shares of the figure."""
+    height = figure.get_figheight()
+    box = (span[0], (FOOTER - 0.3) / height, span[1], 0.14 / height)
     bar = figure.colorbar(drawn, cax=figure.add_axes(box), orientation="horizontal", extend=extend)
     bar.set_label(label, fontsize=11)
     bar.ax.tick_params(labelsize=10.5)
@@ -84,9 +72,3 @@ def add_caption(figure: Figure, caption: str) -> None:
     text = "\n".join(fill(line, letters) for line in caption.splitlines())
     figure.text(0.012, 0.08 / figure.get_figheight(), text, fontsize=10.5, color=style.BLACK,
                 va="bottom")  # fmt: skip
-
-
-def _show(axes: Axes, values: Floats, title: str, **scale: Any) -> AxesImage:
-    hide_axes(axes)
-    axes.set_title(title, fontsize=10.5, pad=4)
-    return axes.imshow(values, interpolation="nearest", **scale)

@@ -11,8 +11,6 @@ from collections.abc import Sequence
 
 from reports.layout.tables import Bold, Table
 
-__all__ = ["PREAMBLE", "to_latex"]
-
 PREAMBLE = (
     "% \\usepackage{booktabs, textcomp}\n% \\usepackage{siunitx} % version 3\n"
     "% \\sisetup{detect-weight, mode = text}\n"

@@ -2,18 +2,24 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import pandas as pd
 
+from reports.analysis.scores import Scores, scores_by_device
+from reports.layout.files import slug, write_figure
 from reports.layout.latex import PREAMBLE, to_latex
 from reports.layout.tables import Table, to_markdown
+from rlbench.benchmark.results import MissingRowsError
 
-__all__ = ["Section", "describe_clips", "write_page"]
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 MAX_LINES = 6  # of a list that is not folded
+Drawing = tuple[Callable[[], "Figure"] | None, pd.DataFrame | None]  # a figure and its table
 
 
 @dataclass(frozen=True)
@@ -26,10 +32,53 @@ class Section:
     lists: Mapping[str, Sequence[str]] = field(default_factory=dict)  # title to lines; empty: none
 
 
+def write_report(
+    results: pd.DataFrame,
+    folder: Path,
+    name: str,
+    title: str,
+    section_of: Callable[[Scores], Section | None],
+    missing: str = "",
+) -> list[Path]:
+    """Write `name`.md, .csv and .tex with the section of each device, and return the files.
+
+    `section_of` takes the scores of a device; None leaves it out. Raises ReportError where a mean
+    would mix rows that cannot be compared, and MissingRowsError with `missing` without a section.
+    """
+    sections = [part for scores in scores_by_device(results) if (part := section_of(scores))]
+    if not sections:
+        raise MissingRowsError(missing)
+    return write_page(folder, name, title, results, sections)
+
+
+def write_figures(
+    results: pd.DataFrame,
+    folder: Path,
+    name: str,
+    figures_of: Callable[[Scores], Mapping[str, Drawing]],
+    metric: str = "psnr",
+) -> list[Path]:
+    """Write the figures of each device as PNG, PDF and SVG, and their tables as CSV.
+
+    `figures_of` takes the scores of a device and returns, by what follows `name` in the names of
+    the files, how to draw a figure, and its table. Names of several devices end with the device.
+    Raises ReportError where a mean would mix rows that cannot be compared.
+    """
+    parts = [
+        (s.device, found) for s in scores_by_device(results, metric) if (found := figures_of(s))
+    ]
+    files = []
+    for device, figures in parts:
+        end = "" if len(parts) == 1 else f"-{slug(device)}"
+        for part, (draw, table) in figures.items():
+            files += write_figure(draw, folder, f"{name}{part}{end}", table)
+    return files
+
+
 def write_page(
     folder: Path, name: str, title: str, results: pd.DataFrame, sections: Sequence[Section]
 ) -> list[Path]:
-    """Write `name`.md, .csv and .tex with a section for each device, and return the files.
+    """Write `name`.md, .csv and .tex with these sections, and return the files.
 
     The title names the clips of `results`, the last line of the page its runs. A note that tables
     share is printed once. Rows of the CSV have a column with their device.

@@ -5,28 +5,15 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Iterable
 from dataclasses import dataclass
-from pathlib import Path
 from textwrap import fill
 from typing import TYPE_CHECKING, Any
 
-from reports.analysis.method_names import family_of
+from reports.analysis.rows import family_of
 
 if TYPE_CHECKING:
     import pandas as pd
     from matplotlib.axes import Axes
-    from matplotlib.figure import Figure
 
-__all__ = [
-    "BLACK",
-    "FAMILY_COLOURS",
-    "GREY",
-    "RC",
-    "LineStyle",
-    "line_styles",
-    "note_hidden_points",
-    "save_figure",
-    "slug",
-]
 
 # Okabe and Ito 2008, Color Universal Design; the proposed method has the most salient colour
 FAMILY_COLOURS = {
@@ -97,7 +84,8 @@ def line_styles(methods: Iterable[str]) -> dict[str, LineStyle]:
     free = [color for color in SPARE_COLOURS if color not in used]
     spare = {family: free[i % len(free)] for i, family in enumerate(unlisted)}
     order = [*FAMILY_COLOURS, *unlisted]
-    variants = {name: _variant_index(name, names) for name in names}
+    families = {f: [name for name in names if family_of(name) == f] for f in present}
+    variants = {name: families[family_of(name)].index(name) for name in names}
     styles: dict[str, LineStyle] = {}
     for name in sorted(names, key=lambda name: (variants[name], order.index(family_of(name)))):
         family, i = family_of(name), variants[name]
@@ -106,11 +94,6 @@ def line_styles(methods: Iterable[str]) -> dict[str, LineStyle]:
         face, edge, width = (color, "white", 0.8) if i == 0 else ("white", color, 1.5)
         styles[name] = LineStyle(color, marker, dash, face, edge, width)
     return {name: styles[name] for name in names}
-
-
-def _variant_index(name: str, names: list[str]) -> int:
-    """The place of a method among those of its family."""
-    return [other for other in names if family_of(other) == family_of(name)].index(name)
 
 
 def _free_marker(first: int, variant: int, styles: Iterable[LineStyle]) -> tuple[str, Any]:
@@ -138,22 +121,3 @@ def note_hidden_points(axes: Axes, points: pd.DataFrame, bottom: float) -> None:
             0.985, 0.02, text, transform=axes.transAxes, ha="right", fontsize=9.5, color=GREY,
             zorder=4, bbox={"facecolor": "white", "edgecolor": "none", "pad": 1},
         )  # fmt: skip
-
-
-def save_figure(figure: Figure, folder: Path, name: str) -> list[Path]:
-    """Write the figure as PNG at 150 dpi, PDF and SVG; equal figures give equal files."""
-    folder.mkdir(parents=True, exist_ok=True)
-    undated = {"png": {}, "pdf": {"CreationDate": None}, "svg": {"Date": None}}
-    files = [folder / f"{name}.{suffix}" for suffix in undated]
-    for file, metadata in zip(files, undated.values(), strict=True):
-        figure.savefig(file, dpi=150, metadata=metadata)
-    return files
-
-
-def slug(text: str) -> str:
-    """The text as part of a file name.
-
-    >>> slug("NVIDIA H100 (x2)")
-    'nvidia-h100-x2'
-    """
-    return "-".join("".join(c if c.isalnum() else " " for c in text.lower()).split())

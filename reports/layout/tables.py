@@ -1,31 +1,30 @@
-"""Tables of text, and their cells; written as Markdown here, as LaTeX in `latex`."""
+"""Tables of text and their cells, and the table of a score; LaTeX is in `latex`."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Hashable, Mapping, Sequence
+from collections.abc import Callable, Hashable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
 import pandas as pd
 
-from reports.analysis.verdicts import LEADS, TRAILS
+from reports.analysis.differences import ALL_SCENES, LEADS, TRAILS, VERDICT_NOTE
+from reports.analysis.scores import Scores
 
-__all__ = [
-    "UNRELIABLE_MARK",
-    "UNRELIABLE_MEANING",
-    "Bold",
-    "Table",
-    "format_difference",
-    "format_ms",
-    "format_samples",
-    "pivot_by_budget",
-    "rank_rows",
-    "to_markdown",
-]
-
+Record = Mapping[Hashable, Any]
+Rows = tuple[tuple[str, ...], ...]
 UNRELIABLE_MARK = "?"  # after a time
-UNRELIABLE_MEANING = "an unreliable time, see the list below and rlbench run --retime"
+UNRELIABLE_MEANING = (
+    f"{UNRELIABLE_MARK}: an unreliable time, see the list below and rlbench run --retime"
+)
+RULES = {"higher": "Higher is better.", "lower": "Lower is better."}
+SCORE_NOTE = (
+    "Methods are in the order of their scores at the budget nearest to 1 spp that most have. Bold "
+    f"is best at its budget; others are compared with it. {VERDICT_NOTE}"
+)
+DIGITS = 3  # significant ones, of the median of a table without a unit
+MAX_DECIMALS = 6
 
 
 class Bold(str):
@@ -39,11 +38,11 @@ class Table:
     title: str
     caption: str
     header: tuple[str, ...]
-    rows: tuple[tuple[str, ...], ...]
+    rows: Rows
     note: str = ""  # how to read it; a page prints it once for all tables that share it
 
 
-def format_difference(record: Mapping[Hashable, Any]) -> str:
+def format_difference(record: Record) -> str:
     """A signed difference with its interval and verdict; bold if one method leads.
 
     `record` has the columns of `difference_columns`, and `mark` if they were corrected.
@@ -60,42 +59,36 @@ def format_difference(record: Mapping[Hashable, Any]) -> str:
     return f"{text} {record['verdict']}"
 
 
+def format_number(value: float, number_format: str) -> str:
+    """The number, or `-` for nan."""
+    return "-" if pd.isna(value) else format(value, number_format)
+
+
 def format_ms(ms: float, unreliable: bool, decimals: int = 1, sign: str = "") -> str:
     """A time in milliseconds, marked if it is unreliable; `-` without one.
 
     >>> format_ms(3.14, unreliable=True), format_ms(3.14, unreliable=False, sign="+")
     ('3.1?', '+3.1')
     """
-    if pd.isna(ms):
-        return "-"
-    return f"{ms:{sign}.{decimals}f}{UNRELIABLE_MARK * unreliable}"
+    return "-" if pd.isna(ms) else f"{ms:{sign}.{decimals}f}{UNRELIABLE_MARK * unreliable}"
 
 
-def format_samples(record: Mapping[Hashable, Any]) -> str:
-    """The samples per pixel of a row of `at_equal_latency`; `none` where no budget fits.
-
-    >>> format_samples({"spp": 4.0, "is_bound": True, "unreliable": False})
-    '>= 4.00'
-    """
-    if pd.isna(record["spp"]):
-        return "none"
-    mark = UNRELIABLE_MARK * bool(record["unreliable"])
-    return f"{'>= ' * bool(record['is_bound'])}{record['spp']:.2f}{mark}"
-
-
-def pivot_by_budget(
+def pivot(
     records: pd.DataFrame,
-    format_record: Callable[[Mapping[Hashable, Any]], str],
-    order: Sequence[str],
-) -> tuple[tuple[str, ...], list[tuple[str, ...]]]:
-    """Header and rows of a table: a row for each method of `order`, a column for each budget."""
-    budgets = sorted(set(records["target_spp"]))
-    cells = {
-        (record["method"], record["target_spp"]): format_record(record)
-        for record in records.to_dict("records")
-    }
-    rows = [(method, *(cells.get((method, spp), "-") for spp in budgets)) for method in order]
-    return ("variant", *(f"{spp:g} spp" for spp in budgets)), rows
+    cell: Callable[[Record], str],
+    order: Iterable[str],
+    first: str = "method",
+    column: str = "target_spp",
+    heading: Callable[[float], str] = "{:g} spp".format,
+) -> tuple[tuple[str, ...], Rows]:
+    """Header and rows of a table: a row for each method of `order`, a column for each budget.
+
+    `first` is the title of the first column; `column` replaces the budget.
+    """
+    values = sorted(set(records[column])) if len(records) else []
+    cells = {(row["method"], row[column]): cell(row) for row in records.to_dict("records")}
+    rows = tuple((name, *(cells.get((name, value), "-") for value in values)) for name in order)
+    return (first, *map(heading, values)), rows
 
 
 def rank_rows(records: pd.DataFrame, column: str, direction: str = "higher") -> list[str]:
@@ -119,15 +112,60 @@ def rank_rows(records: pd.DataFrame, column: str, direction: str = "higher") -> 
     return sorted(names, key=lambda name: (name not in at, sign * at.get(name, 0.0), name))
 
 
+def score_table(scores: Scores, rank: pd.DataFrame, caption: str = "", subject: str = "") -> Table:
+    """The rows of `rank_methods` of one scene, or of all: a row a method, a column a budget.
+
+    Differences must have gone through `correct_by_holm`. `subject` replaces the metric in the
+    title.
+    """
+    unit = scores.column_text("unit")
+    number = _number_format(unit, rank["mean"])
+    order = rank_rows(rank, "mean", scores.direction)
+    header, rows = pivot(rank, lambda row: _format_score(row, number), order)
+    scenes = set(rank["scene"]) - {ALL_SCENES}
+    title = (subject or scores.metric) + f" [{unit}]" * bool(unit)
+    title += f", {scenes.pop() if scenes else 'mean over scenes'}"
+    caption += RULES.get(scores.direction, "Not ranked.")
+    return Table(title, caption, header, rows, SCORE_NOTE if scores.direction else "")
+
+
+def _format_score(row: Record, number: Callable[[float], str]) -> str:
+    text = number(row["mean"])
+    if row["best"]:
+        return Bold(text)
+    if not pd.isna(row["low"]):
+        text += f" [{number(row['low'])}, {number(row['high'])}]{row['mark']}"
+    return text if row["verdict"] in ("", LEADS, TRAILS) else f"{text} {row['verdict']}"
+
+
+def _number_format(unit: str, values: pd.Series[float]) -> Callable[[float], str]:
+    """Equal decimals in a table: two of dB and ms, else as many as its median needs."""
+    sizes = values.abs()
+    median = float(sizes[sizes > 0].median())
+    decimals = 2
+    if unit not in ("dB", "ms") and median == median:
+        decimals = min(max(DIGITS - 1 - math.floor(math.log10(median)), 0), MAX_DECIMALS)
+    return lambda value: f"{value:.{decimals}f}"
+
+
 def to_markdown(table: Table) -> str:
     """The table in GitHub's Markdown, its title as a heading and its caption as a paragraph."""
-    rule = ["---", *["---:"] * (len(table.header) - 1)]
-    lines = [[_markdown_cell(cell) for cell in row] for row in (table.header, *table.rows)]
-    lines.insert(1, rule)
-    body = "\n".join("| " + " | ".join(line) + " |" for line in lines)
-    return "\n\n".join(filter(None, [f"### {table.title}", table.caption, f"{body}\n"]))
+    header, *rows = ([escape_bars(cell) for cell in row] for row in (table.header, *table.rows))
+    return "\n\n".join(
+        filter(None, [f"### {table.title}", table.caption, pipe_table(header, rows)])
+    )
 
 
-def _markdown_cell(cell: str) -> str:
+def pipe_table(header: Sequence[str], rows: Iterable[Sequence[str]], numbers: bool = True) -> str:
+    """A table of cells in Markdown; all columns but the first are aligned to the right.
+
+    Without `numbers`, all are aligned to the left.
+    """
+    rule = ["---", *["---:" if numbers else "---"] * (len(header) - 1)]
+    return "".join("| " + " | ".join(line) + " |\n" for line in (header, rule, *rows))
+
+
+def escape_bars(cell: str) -> str:
+    """The cell for a table of pipes; bold if it is `Bold`."""
     text = cell.replace("|", "\\|")
     return f"**{text}**" if isinstance(cell, Bold) else text

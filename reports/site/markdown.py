@@ -6,7 +6,7 @@ import json
 import os
 from collections.abc import Iterable, Sequence
 
-__all__ = ["escape", "facts", "front_matter", "link", "method_path", "table", "unbroken"]
+from reports.layout.tables import pipe_table
 
 SPECIAL = str.maketrans({c: f"\\{c}" for c in "\\`*_[]<>|"})
 
@@ -20,19 +20,10 @@ def escape(text: str) -> str:
     return " ".join(text.split()).translate(SPECIAL)
 
 
-def table(header: Sequence[str], rows: Iterable[Sequence[str]], numbers: bool = True) -> str:
-    """A table of cells in Markdown; all columns but the first are aligned to the right.
-
-    Without `numbers`, all are aligned to the left.
-    """
-    rule = ["---", *["---:" if numbers else "---"] * (len(header) - 1)]
-    return "\n".join("| " + " | ".join(line) + " |" for line in (header, rule, *rows)) + "\n"
-
-
 def facts(pairs: Iterable[tuple[str, str]]) -> str:
     """A table of names and texts, the first as its head; pairs without a text are left out."""
     head, *rows = [pair for pair in pairs if pair[1]]
-    return table(head, rows, numbers=False)
+    return pipe_table(head, rows, numbers=False)
 
 
 def link(text: str, target: str, page: str) -> str:

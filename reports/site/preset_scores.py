@@ -10,42 +10,32 @@ from typing import Any
 
 import pandas as pd
 
-from reports.analysis.aggregate import Scores
-from reports.analysis.comparability import check_comparable, split_by_device
-from reports.analysis.ranking import ALL_SCENES
-from reports.viewer.table_data import table_data
+from reports.analysis.differences import ALL_SCENES
+from reports.analysis.scores import Scores, scores_by_device
+from reports.viewer.data import table_data
 
-__all__ = ["PresetScores", "preset_scores"]
-
-METRIC = "psnr"
 Key = tuple[str, str, float]  # method, scene, budget
 
 
 @dataclass(frozen=True, eq=False)
 class PresetScores:
-    """The rows of one preset on one device, and what is computed of them."""
+    """PSNR and times of one preset on one device, and what is computed of them."""
 
     preset: str
-    device: str
-    rows: pd.DataFrame  # of the results
+    scores: Scores
     source: str  # where the numbers come from, a sentence
     stated_errors: Mapping[Key, float] = field(default_factory=dict)
 
     @cached_property
     def table(self) -> dict[str, Any]:
         """What the table of the viewer shows: every metric, ranked by scene and budget."""
-        return table_data(self.rows, self.device)
+        return table_data(self.scores.rows, self.scores.device)
 
     @cached_property
     def records(self) -> list[dict[str, Any]]:
         """The ranking by PSNR."""
-        found = [each for each in self.table["metrics"] if each["metric"] == METRIC]
-        return list(found[0]["records"]) if found else []
-
-    @cached_property
-    def scores(self) -> Scores:
-        """PSNR and times."""
-        return Scores(self.rows, METRIC, self.device)
+        found = [m["records"] for m in self.table["metrics"] if m["metric"] == self.scores.metric]
+        return list(found[0]) if found else []
 
     @cached_property
     def scenes(self) -> list[str]:
@@ -62,26 +52,26 @@ class PresetScores:
         """The rows that have a score, sorted."""
         return sorted({record["method"] for record in self.records})
 
+    @property
+    def whole(self) -> str:
+        """The scope of a mean over all scenes; with one scene, that scene."""
+        return ALL_SCENES if len(self.scenes) > 1 else self.scenes[0]
+
     def record(self, method: str, spp: float, scene: str = "") -> dict[str, Any] | None:
         """The ranking record of a method at a budget, over all scenes or on one."""
         return self._by_key.get((method, scene or self.whole, spp))
 
-    def rank(self, method: str, spp: float, scene: str = "") -> tuple[int, int]:
+    def rank(self, method: str, spp: float) -> tuple[int, int]:
         """The place of a method at a budget, from 1, and the number of rows that it is among."""
-        scope = scene or self.whole
-        means = [r["mean"] for r in self.records if (r["scene"], r["target_spp"]) == (scope, spp)]
-        own = self._by_key[method, scope, spp]["mean"]
+        at = (self.whole, spp)
+        means = [r["mean"] for r in self.records if (r["scene"], r["target_spp"]) == at]
+        own = self._by_key[method, *at]["mean"]
         return 1 + sum(mean > own for mean in means), len(means)
 
     def error(self, method: str, scene: str, spp: float) -> float:
         """Standard error of the mean over the frames of a scene in dB; nan if it is not known."""
         key = (method, scene, spp)
         return self.stated_errors.get(key, self._errors.get(key, math.nan))
-
-    @property
-    def whole(self) -> str:
-        """The scope of a mean over all scenes; with one scene, that scene."""
-        return ALL_SCENES if len(self.scenes) > 1 else self.scenes[0]
 
     @cached_property
     def _by_key(self) -> dict[Key, dict[str, Any]]:
@@ -90,9 +80,7 @@ class PresetScores:
     @cached_property
     def _errors(self) -> dict[Key, float]:
         groups = self.scores.measured.groupby(["method", "scene", "target_spp"])["value"]
-        errors = groups.sem().reset_index()
-        keys = zip(errors["method"], errors["scene"], errors["target_spp"], strict=True)
-        return dict(zip(keys, map(float, errors["value"]), strict=True))
+        return {(str(m), str(s), float(spp)): float(e) for (m, s, spp), e in groups.sem().items()}
 
 
 def preset_scores(
@@ -103,10 +91,9 @@ def preset_scores(
     `errors` are standard errors in dB that the rows cannot give, because they hold means. Raises
     ReportError for rows that cannot be compared.
     """
-    parts = []
-    for preset in sorted(set(results["preset"])):
-        for device, rows in split_by_device(results[results["preset"] == preset]).items():
-            check_comparable(rows)
-            if (rows["metric"].eq(METRIC) & rows["value"].notna()).any():
-                parts.append(PresetScores(preset, device, rows, source, errors or {}))
-    return parts
+    return [
+        PresetScores(str(preset), scores, source, errors or {})
+        for preset, rows in results.groupby("preset")
+        for scores in scores_by_device(rows)
+        if len(scores.measured)
+    ]

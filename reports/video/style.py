@@ -8,8 +8,6 @@ from dataclasses import dataclass
 
 from rlbench.benchmark.results import TableError
 
-__all__ = ["FORMATS", "LAYOUTS", "VideoError", "VideoStyle", "check_formats"]
-
 LAYOUTS = ("side-by-side", "wipe")
 FORMATS = ("mp4", "webp")
 MAX_PANELS = 6

@@ -6,24 +6,24 @@ import base64
 import json
 import math
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from importlib.resources import files
 from pathlib import Path
 from typing import Any
 
+import jinja2
 import matplotlib as mpl
 import numpy as np
 import pandas as pd
 
-from reports.analysis.comparability import check_comparable, split_by_device
-from reports.analysis.verdicts import TIE_DB
-from reports.layout.finished_file import finished_file
+from reports.analysis.differences import TIE_DB
+from reports.analysis.images import ShownClip
+from reports.analysis.rows import check_comparable, split_by_device
+from reports.layout.files import finished_file
 from reports.layout.page import describe_clips
 from reports.layout.tables import UNRELIABLE_MARK
-from reports.viewer.decision_data import decision_data, student_factors
-from reports.viewer.pictures import MAX_METHODS, ShownClip, pack_clips
-from reports.viewer.table_data import frame_scores, provenance, table_data
-
-__all__ = ["to_json", "write"]
+from reports.viewer.data import decision_data, frame_scores, provenance, student_factors, table_data
+from reports.viewer.pictures import MAX_METHODS, pack_clips
 
 ASSETS = files("reports.viewer") / "assets"
 # perceptually uniform and safe for colour-blind readers: Smith and van der Walt 2015 (matplotlib);
@@ -77,8 +77,6 @@ def _select_methods(
     clips: Sequence[ShownClip], results: pd.DataFrame
 ) -> tuple[list[ShownClip], list[str]]:
     """The clips with their best MAX_METHODS methods at each budget, and who is left out."""
-    from dataclasses import replace
-
     scores = results[(results["metric"] == "psnr") & results["value"].notna()]
     means = scores.groupby(["target_spp", "method"])["value"].mean()
     kept, left_out = [], set()
@@ -101,11 +99,10 @@ def _select_methods(
 
 
 def _render(data: Mapping[str, Any], clips: Sequence[str], error: float) -> str:
-    import jinja2
-
     sources = {path.name: path.read_text(encoding="utf-8") for path in ASSETS.iterdir()}
     modules = {
-        f"viewer/{name}": _data_url(f"{text}\n//# sourceURL=viewer/{name}\n")
+        f"viewer/{name}": "data:text/javascript;base64,"
+        + base64.b64encode(f"{text}\n//# sourceURL=viewer/{name}\n".encode()).decode()
         for name, text in sorted(sources.items())
         if name.endswith(".js")
     }
@@ -119,10 +116,6 @@ def _render(data: Mapping[str, Any], clips: Sequence[str], error: float) -> str:
         data=to_json({**data, "relative_error": error}),
         clips=[text.replace("</", "<\\/") for text in clips],
     )
-
-
-def _data_url(module: str) -> str:
-    return "data:text/javascript;base64," + base64.b64encode(module.encode()).decode()
 
 
 def to_json(document: Any) -> str:

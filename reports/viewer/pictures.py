@@ -4,16 +4,11 @@ from __future__ import annotations
 
 import json
 from bisect import bisect_left
-from collections.abc import Mapping, Sequence
-from typing import Any, Protocol
+from collections.abc import Sequence
 
-import numpy as np
-from numpy.typing import NDArray
-
+from reports.analysis.images import ShownClip
 from reports.viewer.tiles import LinearScale, LogScale, encode
 from rlbench.benchmark.results import TableError
-
-__all__ = ["MAX_METHODS", "PicturesError", "ShownClip", "ShownImages", "pack_clips"]
 
 MAX_METHODS = 9  # at each clip and budget: one for each of the keys 1 to 9
 STEPS = (256, 128, 96, 64, 48, 32, 24, 20, 16, 14, 12, 10, 8)  # of radiance in an octave
@@ -25,33 +20,10 @@ SCALES: dict[str, LinearScale | LogScale] = {
     "motion": LinearScale(1 / 16),  # pixels
 }
 COUNTS = LinearScale(1.0)
-Floats = NDArray[np.floating[Any]]
 
 
 class PicturesError(TableError):
     """Images that do not fit a page."""
-
-
-class ShownImages(Protocol):
-    """The output of one method on a clip."""
-
-    method: str
-    target_spp: float
-    frames: Floats  # [t 3 h w], linear radiance
-    counts: Floats  # [t h w], samples of each pixel
-
-
-class ShownClip(Protocol):
-    """A clip with the images of all methods on it."""
-
-    name: str
-    scene: str
-    fps: float
-    cuts: Sequence[int]
-    light_changes: Sequence[int]
-    reference: Floats  # [t 3 h w], linear radiance
-    buffers: Mapping[str, Floats]  # [t c h w]
-    images: Sequence[ShownImages]
 
 
 def pack_clips(clips: Sequence[ShownClip], max_bytes: int) -> tuple[list[str], float]:

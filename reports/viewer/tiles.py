@@ -17,15 +17,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["LinearScale", "LogScale", "encode"]
+from reports.analysis.images import Floats
 
 DARK = 2.0**-7  # radiance below which the steps of LogScale are nearly equal
 LARGEST = 2.0**16  # larger values are stored as this
 GROUPS = (3, 7, 15)  # differences of neighbours at which the next group begins
 ESCAPE = 255  # in place of a residual that does not fit a byte; it follows at the end, in four
-
 Codes = NDArray[np.int32]
-Floats = NDArray[np.floating[Any]]
 
 
 @dataclass(frozen=True)
@@ -33,10 +31,6 @@ class LogScale:
     """Codes of sign(v) log2(1 + |v| / DARK), `steps` of them an octave; inf and NaN have their own.
 
     The error of a value v is at most (|v| + DARK) (2^(1 / (2 steps)) - 1).
-
-    >>> scale = LogScale(16)
-    >>> scale.values(scale.codes(np.array([0.0, -1.0, np.inf], np.float32))).round(2).tolist()
-    [0.0, -0.99, inf]
     """
 
     steps: int
@@ -64,16 +58,6 @@ class LogScale:
         signed: Codes = np.where(values < 0, -codes, codes).astype(np.int32)
         return signed
 
-    def values(self, codes: Codes) -> Floats:
-        """The value of each code."""
-        size = np.abs(codes).astype(np.float64)
-        values = DARK * (2 ** (size / self.steps) - 1)
-        values = np.where(
-            size == self.top + 1, np.inf, np.where(size > self.top + 1, np.nan, values)
-        )
-        signed: Floats = np.where(codes < 0, -values, values)
-        return signed
-
 
 @dataclass(frozen=True)
 class LinearScale:
@@ -92,10 +76,6 @@ class LinearScale:
             np.rint(np.nan_to_num(values) / self.step).clip(-32000, 32000).astype(np.int32)
         )
         return codes
-
-    def values(self, codes: Codes) -> Floats:
-        """The value of each code."""
-        return codes.astype(np.float64) * self.step
 
 
 def encode(planes: Floats, scale: LogScale | LinearScale) -> dict[str, Any]:

@@ -1,5 +1,8 @@
 """The benchmark: a run plan, its runner, scores, latency, cost and the results table.
 
+A run begins with a plan (`run_plan`), is measured and stored cell by cell (`runner`), and ends with
+a verdict (`run_outcome`). `scoring` turns images into rows, `timing` times, `results` keeps them.
+
 `measure` writes the rows of a plan into a results folder, `read_cells` returns them as a pandas
 DataFrame; cells that the folder holds already are not measured again::
 
@@ -11,7 +14,7 @@ DataFrame; cells that the folder holds already are not measured again::
     from rlbench.render.jobs.render_clips import rendered
 
     clips = tuple(StoredSource(folder) for folder in rendered(["city"], "mini"))
-    plan = RunPlan(("ours", "ntas"), clips, target_spp=(1.0, 4.0))
+    plan = RunPlan(("ours", "ntas"), clips, spp=(1.0, 4.0))
     folder = Path("results")
     measure(plan, folder, on_cell=lambda cell: print(cell.key))
     rows = read_cells(plan, folder)

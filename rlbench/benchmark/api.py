@@ -22,23 +22,35 @@ import torch
 from rlbench import registry
 from rlbench.backends import EAGER, select_backend
 from rlbench.benchmark import cost as costs
-from rlbench.benchmark import results
+from rlbench.benchmark import latency, results
 from rlbench.benchmark.clip_sources import POOLS, StoredSource, open_source
-from rlbench.benchmark.preflight import check_run
+from rlbench.benchmark.run_outcome import RunWarning, judge_run
 from rlbench.benchmark.run_plan import DEFAULT_SPP, RunPlan
-from rlbench.benchmark.run_verdict import RunWarning, judge_run
 from rlbench.benchmark.runner import CellCallback, measure, read_cells
-from rlbench.clips.clip_folders import find_all_clips
+from rlbench.clips.stored import find_all_clips
 from rlbench.errors import OptionError
 from rlbench.parallel.executor import LOCAL, Executor
 from rlbench.registry.near_names import unknown_name
 from rlbench.render.jobs.render_clips import render_preset_clips
+from rlbench.render.presets import get_preset
+from rlbench.system import paths
 from rlbench.system.bfloat16 import require_native_bf16
+from rlbench.system.paths import check_writable
+from rlbench.weights import read_card
 
 if TYPE_CHECKING:
     import pandas as pd
 
-__all__ = ["check_precision", "render_clips", "report", "run", "select_clips", "select_device"]
+__all__ = [
+    "check_precision",
+    "check_run",
+    "plan_run",
+    "render_clips",
+    "report",
+    "run",
+    "select_clips",
+    "select_device",
+]
 
 RESULTS = Path("results")
 
@@ -90,41 +102,90 @@ def run(
 
     Raises RlbenchError for names, budgets, files or devices that cannot be used.
     """
-    patterns = list(methods)
+    patterns, folder = list(methods), Path(out)
     with registry.with_broken(patterns):
-        names, target_spp = tuple(registry.expand(patterns)), tuple(float(budget) for budget in spp)
-        target, file = select_device(device), None if weights is None else str(weights)
-        selected_backend = select_backend(backend, target)
-        check_precision(names, bf16, device, executor)
-        check_run(names, target_spp, Path(out), None if clips else preset, cost, file, pool)
-        pool_kinds = {registry.get_variant(name).traits.pool for name in names}
-        plan = RunPlan(
-            methods=names,
-            clips=select_clips(clips, scenes, preset, takes, pool, pool_kinds, executor),
-            target_spp=target_spp,
-            seeds=tuple(seeds),
-            device=target,
+        plan = plan_run(
+            registry.expand(patterns),
+            folder,
+            spp=spp,
+            scenes=scenes,
+            preset=preset,
+            takes=takes,
+            clips=clips,
+            pool=pool,
+            seeds=seeds,
+            device=device,
             cost=cost,
-            weights=file,
+            weights=weights,
             weights_label=weights_label,
             bf16=bf16,
-            backend=selected_backend,
+            backend=backend,
             skip_tiles=skip_tiles,
             limit_frames=limit_frames,
+            executor=executor,
         )
         summary = measure(
             plan,
-            Path(out),
+            folder,
             on_cell,
             executor,
             retime=retime,
             scores_only=scores_only,
             keep_images=keep_images,
         )
-        rows = read_cells(plan, Path(out))
+        rows = read_cells(plan, folder)
     if not (verdict := judge_run(summary, rows)).has_passed:
         warnings.warn(f"{verdict}. The column `note` has the reasons", RunWarning, stacklevel=2)
     return rows
+
+
+def plan_run(
+    methods: Iterable[str],
+    out: Path,
+    *,
+    spp: Iterable[float] = DEFAULT_SPP,
+    scenes: Iterable[str] = (),
+    preset: str = "mini",
+    takes: str | None = None,
+    clips: Iterable[Path | str] | None = None,
+    pool: str = "stored",
+    seeds: Iterable[int] = (0,),
+    device: str = "auto",
+    cost: str = costs.MEASURED,
+    weights: Path | str | None = None,
+    weights_label: str = "",
+    bf16: bool = False,
+    backend: str = EAGER,
+    skip_tiles: bool = False,
+    limit_frames: int | None = None,
+    repeats: int = latency.REPEATS,
+    executor: Executor = LOCAL,
+) -> RunPlan:
+    """The plan of `run` for methods by name; everything is checked before a clip is rendered.
+
+    Raises RlbenchError for names, budgets, files or devices that cannot be used.
+    """
+    names, budgets, target = tuple(methods), tuple(map(float, spp)), select_device(device)
+    file = None if weights is None else str(weights)
+    selected_backend = select_backend(backend, target)
+    check_precision(names, bf16, device, executor)
+    check_run(names, budgets, out, None if clips else preset, cost, file, pool)
+    pool_kinds = {registry.get_variant(name).traits.pool for name in names}
+    return RunPlan(
+        methods=names,
+        clips=select_clips(clips, scenes, preset, takes, pool, pool_kinds, executor),
+        spp=budgets,
+        seeds=tuple(seeds),
+        device=target,
+        cost=cost,
+        weights=file,
+        weights_label=weights_label,
+        bf16=bf16,
+        backend=selected_backend,
+        skip_tiles=skip_tiles,
+        limit_frames=limit_frames,
+        repeats=repeats,
+    )
 
 
 def render_clips(
@@ -229,3 +290,61 @@ def select_device(name: str = "auto") -> torch.device:
             f"device {name} cannot be used on this machine: {reason}. Use cpu or auto"
         ) from error
     return device
+
+
+def check_run(
+    methods: Collection[str],
+    spp: Collection[float],
+    out: Path,
+    preset: str | None,
+    cost: str = costs.MEASURED,
+    weights: str | None = None,
+    pool: str = "stored",
+) -> None:
+    """Check the options of a run that need no clip; nothing is written and no clip is opened.
+
+    `preset` is that of the clips, None for clips in folders; their samples are those of `pool`
+    (rlbench.benchmark.clip_sources.POOLS). Raises CostError for a cost profile,
+    WeightsError for a weights file or its card, PluginError for a metric that cannot be used,
+    WriteError where the results or the cache cannot be written, UnknownPresetError, and
+    OptionError where no method can be measured at any budget.
+    """
+    if cost != costs.MEASURED:
+        costs.profile(cost)
+    if weights not in (None, "random"):
+        read_card(Path(weights))
+    if preset is not None:
+        check_budgets(methods, spp, preset, pool)
+    registry.load_run_metrics()
+    check_writable(out)
+    check_writable(paths.cache_folder(), "RLBENCH_CACHE")
+
+
+def check_budgets(
+    methods: Collection[str], spp: Collection[float], preset: str, pool: str = "stored"
+) -> None:
+    """Raise OptionError where no method can be measured on the preset's clips at any budget.
+
+    A method that cannot at some budgets is skipped there, with the reason in its row. Live samples
+    are traced when they are drawn, so there are as many as a budget needs.
+    """
+    stored = get_preset(preset).pool_spp
+    if pool == "stored" and min(spp, default=0.0) > stored:
+        raise OptionError(
+            f"--spp {_join(spp)}: the clips of preset '{preset}' store {stored} samples per "
+            f"pixel, and no method is measured with more; request at most {stored}, or trace "
+            "more with --pool live"
+        )
+    traits = {name: registry.get_variant(name).traits for name in methods}
+    reasons = {
+        f"{name} {reason}": None
+        for budget in spp
+        for name, each in traits.items()
+        if (reason := each.unsupported_reason(budget))
+    }
+    if reasons and len(reasons) == len(traits) * len(spp):
+        raise OptionError(f"--spp {_join(spp)}: {'; '.join(reasons)}")
+
+
+def _join(budgets: Collection[float]) -> str:
+    return ",".join(f"{spp:g}" for spp in budgets)

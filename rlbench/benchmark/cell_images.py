@@ -9,10 +9,12 @@ appears whole or not at all, before the rows of its cell.
 from __future__ import annotations
 
 import json
+import shlex
 import shutil
-from collections.abc import Sequence
-from dataclasses import asdict, dataclass, replace
+from collections.abc import Collection, Iterable, Sequence
+from dataclasses import asdict, dataclass
 from hashlib import sha256
+from itertools import product
 from pathlib import Path
 from typing import NamedTuple
 
@@ -20,21 +22,27 @@ import numpy as np
 from jaxtyping import Float16
 from numpy import ndarray as Array
 
+from rlbench.benchmark import results
 from rlbench.benchmark.cell_key import CellId, CellKey
-from rlbench.clips.exr import read_planes, write_exr
-from rlbench.clips.exr_header import read_exr_header
+from rlbench.benchmark.clip_sources import StoredSource
+from rlbench.benchmark.results import RowName
+from rlbench.clips.exr import read_exr_header, read_planes, write_exr
+from rlbench.clips.header import Header
 from rlbench.errors import RlbenchError
 from rlbench.run import FrameResult
 from rlbench.system import documents, paths
 
 __all__ = [
     "CellImages",
+    "KeptCell",
     "KeptFrame",
     "KeptImages",
     "KeptImagesError",
     "drop_images",
+    "find_all_images",
     "find_images",
-    "images_folder",
+    "find_kept_cells",
+    "image_pools",
     "list_images",
     "write_images",
 ]
@@ -44,10 +52,11 @@ RECORD = "cell.json"
 SCHEMA = 1  # of the record and of the channels
 CHANNELS = ("R", "G", "B", "counts")
 HALF_MAX = 65504.0  # largest half float; brighter finite values are stored as this
+MAX_NAMED = 6  # cells in a message
 
 
 class KeptImagesError(RlbenchError, ValueError):
-    """Kept images that are missing, damaged, or written by a newer version."""
+    """Kept images that are missing, damaged, of another clip, or written by a newer version."""
 
 
 class KeptFrame(NamedTuple):
@@ -120,7 +129,7 @@ class KeptImages:
 
 def images_folder(results: Path, cell: CellId) -> Path:
     """The folder of a cell's images, whether or not it exists; times do not change its name."""
-    return results / FOLDER / _untimed(cell).file_stem
+    return results / FOLDER / cell.untimed.file_stem
 
 
 def frame_file(folder: Path, index: int) -> Path:
@@ -174,10 +183,6 @@ def drop_images(results: Path, cell: CellId) -> None:
     shutil.rmtree(folder, ignore_errors=True)
 
 
-def _untimed(cell: CellId) -> CellId:
-    return replace(cell, times_hash="")
-
-
 def _write_frame(folder: Path, index: int, frame: KeptFrame) -> str:
     """Write a frame; returns its checksum."""
     file = frame_file(folder, index)
@@ -201,3 +206,106 @@ def _read_record(folder: Path) -> KeptImages:
     cell = CellId(record.key, record.content_hash)
     shared = record.pool, record.clip_digest, record.max_samples
     return KeptImages(folder, cell, *shared, record.checksums)
+
+
+def find_all_images(
+    folder: Path, methods: Sequence[str], clips: Collection[str], target_spp: Sequence[float]
+) -> list[KeptImages]:
+    """The images of each method on each clip at each budget; of all seeds and devices.
+
+    Raises KeptImagesError where a method, clip and budget has none.
+    """
+    wanted_cells = set(product(methods, clips, target_spp))
+    stored = [
+        cell
+        for cell in results.cells(folder)
+        if (cell.key.method, cell.key.clip, cell.key.target_spp) in wanted_cells
+    ]
+    found = [images for cell in stored if (images := find_images(folder, cell))]
+    keys = [images.cell.key for images in found]
+    missing = wanted_cells - {(key.method, key.clip, key.target_spp) for key in keys}
+    if missing:
+        presets = {cell.key.preset for cell in stored}
+        raise KeptImagesError(_explain(folder, sorted(missing), presets))
+    return found
+
+
+def _explain(
+    folder: Path, missing: Sequence[tuple[str, str, float]], presets: Collection[str]
+) -> str:
+    cells = [f"{method} on {clip} at {spp:g} spp" for method, clip, spp in missing]
+    more = f" and {len(cells) - MAX_NAMED} more" if len(cells) > MAX_NAMED else ""
+    names = [RowName.parse(method) for method, _, _ in missing]
+    labels = sorted({f"@{name.label}" for name in names if name.label})
+    options = f", with the options of its rows {', '.join(labels)}" if labels else ""
+    preset = next(iter(presets), "mini") if len(presets) < 2 else "PRESET"
+    words = ["rlbench", "run", "-m", _join(name.method for name in names)]
+    words += ["--preset", preset] if preset else ["--clips", "FOLDER"]
+    words += ["--scenes", _join(clip for _, clip, _ in missing)]
+    words += ["--spp", _join(f"{spp:g}" for _, _, spp in missing)]
+    words += ["--keep-images", "--out", str(folder)]
+    return (
+        f"{folder} has no images of {'; '.join(cells[:MAX_NAMED])}{more}. "
+        f"This makes them{options}: {shlex.join(words)}"
+    )
+
+
+def _join(words: Iterable[str]) -> str:
+    return ",".join(dict.fromkeys(words))
+
+
+class KeptCell(NamedTuple):
+    """A finished cell of a run whose images were kept."""
+
+    cell: CellId
+    images: KeptImages
+    clip: StoredSource
+
+    @property
+    def header(self) -> Header:
+        """The header of the clip."""
+        return self.clip.header
+
+
+def image_pools(folder: Path) -> set[str]:
+    """Kinds of the sample pools of all images in a results folder.
+
+    Raises KeptImagesError where there is no image.
+    """
+    pools = {images.pool for images in list_images(folder)}
+    if not pools:
+        problem = "has no images" if folder.is_dir() else "does not exist"
+        raise KeptImagesError(f"{folder} {problem}; `rlbench run --keep-images` makes them")
+    return pools
+
+
+def find_kept_cells(
+    folder: Path, clips: Sequence[StoredSource], methods: Collection[str] = ()
+) -> list[KeptCell]:
+    """The cells in a results folder with images of `clips`; all `methods`, or those named.
+
+    Raises KeptImagesError where there is none, and where a clip has changed since the images.
+    """
+    by_name = {clip.header.name: clip for clip in clips}
+    kept = []
+    for cell in sorted(results.cells(folder), key=lambda cell: cell.file_stem):
+        is_selected = not methods or cell.key.method in methods
+        images = find_images(folder, cell)
+        if images and is_selected and cell.key.clip in by_name:
+            kept.append(KeptCell(cell, images, by_name[cell.key.clip]))
+    if not kept:
+        keys = [images.cell.key for images in list_images(folder)]
+        stored_methods, stored_clips = {key.method for key in keys}, {key.clip for key in keys}
+        raise KeptImagesError(
+            f"{folder} has no images of {', '.join(methods) or 'any method'} on "
+            f"{', '.join(by_name)}; it has {', '.join(sorted(stored_methods))} on "
+            f"{', '.join(sorted(stored_clips))}. `rlbench run --keep-images` makes images"
+        )
+    for cell, images, clip in kept:
+        if (digest := clip.content(images.pool)) != images.clip_digest:
+            raise KeptImagesError(
+                f"the images of '{cell.key}' show a clip with digest {images.clip_digest}, but "
+                f"{clip.folder} has {digest}, so its references may be others. Select the clip "
+                "of the images, or repeat `rlbench run --keep-images`"
+            )
+    return kept

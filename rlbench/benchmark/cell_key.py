@@ -58,7 +58,7 @@ class CellId:
 
     key: CellKey
     content_hash: str
-    times_hash: str = ""  # empty for a cell without times, and in older files
+    times_hash: str = ""  # empty for a cell without times
 
     @property
     def is_failed(self) -> bool:
@@ -67,7 +67,7 @@ class CellId:
 
     @property
     def document(self) -> dict[str, Any]:
-        """The identity as JSON; without the fields that older files lack, where they are empty."""
+        """The identity as JSON, without a metric or a hash of times that is empty."""
         document = asdict(self)
         if not self.key.metric:
             del document["key"]["metric"]

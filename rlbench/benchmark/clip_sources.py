@@ -9,12 +9,11 @@ from functools import cache, cached_property
 from hashlib import sha256
 from itertools import islice
 from pathlib import Path
-from typing import Protocol
 
 import torch
 
+from rlbench.clips.in_memory import ClipWrapper
 from rlbench.clips.stored import Header, open_clip, read_header
-from rlbench.clips.wrapper import ClipWrapper
 from rlbench.family import Traits
 from rlbench.frames import Clip, Frame
 from rlbench.render.jobs.live_pool import open_live_clip, scene_of_folder
@@ -22,47 +21,19 @@ from rlbench.render.mitsuba.variant import select_variant
 from rlbench.system import code_hash, provenance
 
 __all__ = [
-    "POOLS",
     "FirstFrames",
-    "LiveSource",
-    "Source",
     "StoredSource",
     "max_samples_needed",
-    "samples_at_cap",
     "open_source",
+    "samples_at_cap",
 ]
 
 POOLS = ("stored", "live")  # samples read from the clip's files, or traced when drawn
 
 
-class Source(Protocol):
-    """A clip that each cell opens with the traits of its method."""
-
-    @property
-    def folder(self) -> Path:
-        """The folder of the clip's files."""
-
-    @property
-    def header(self) -> Header:
-        """The clip's metadata."""
-
-    def content(self, pool: str) -> str:
-        """Hash of the clip with the samples of one pool; without samples if it has no such pool."""
-
-    @property
-    def cost_key(self) -> str:
-        """What the time to fetch a sample depends on; empty if it is the same for all clips."""
-
-    def pool_spp(self, target_spp: float) -> int:
-        """Samples that one pixel can have at this budget."""
-
-    def open(self, traits: Traits, target_spp: float, seed: int, device: torch.device) -> Clip:
-        """The clip; data that the method cannot use at this budget are not read."""
-
-
 @dataclass(frozen=True)
 class StoredSource:
-    """A clip folder, format v1."""
+    """A clip folder, format v1, that each cell opens with the traits of its method."""
 
     folder: Path
     _digests: dict[str, str] = field(default_factory=dict, compare=False, repr=False)  # by pool
@@ -73,7 +44,7 @@ class StoredSource:
         return read_header(self.folder)
 
     def content(self, pool: str) -> str:
-        """Hash of the folder with the samples of `pool`."""
+        """Hash of the clip with the samples of a pool; without samples if it has no such pool."""
         if pool not in self._digests:  # a digest reads every file, and every cell needs one
             opened = pool if pool in self.header.pools else self.header.pools[0]
             clip = open_clip(self.folder, inputs=frozenset(), max_samples=1, pool=opened)
@@ -83,16 +54,16 @@ class StoredSource:
 
     @property
     def cost_key(self) -> str:
-        """Empty: fetching stored samples takes as long for every clip."""
+        """What the time to fetch a sample depends on; stored ones take as long for every clip."""
         return ""
 
-    def pool_spp(self, target_spp: float) -> int:
-        """The stored samples of a pixel, at any budget."""
+    def pool_spp(self, spp: float) -> int:
+        """Samples that one pixel can have at this budget; here those stored, at any."""
         return self.header.pool_spp
 
-    def open(self, traits: Traits, target_spp: float, seed: int, device: torch.device) -> Clip:
-        """The clip with the buffers and samples that `traits` can use at `target_spp`."""
-        max_samples = max_samples_needed(traits, target_spp, self.header.pool_spp)
+    def open(self, traits: Traits, spp: float, seed: int, device: torch.device) -> Clip:
+        """The clip with the buffers and samples that `traits` can use at `spp`."""
+        max_samples = max_samples_needed(traits, spp, self.header.pool_spp)
         return open_clip(self.folder, traits.inputs, max_samples, traits.pool, seed, device)
 
 
@@ -111,16 +82,16 @@ class LiveSource(StoredSource):
         """The clip's name: the time to trace a sample differs between scenes."""
         return self.header.name
 
-    def pool_spp(self, target_spp: float) -> int:
+    def pool_spp(self, spp: float) -> int:
         """As many as are stored, so that images equal those of stored samples; above, twice the
         budget, so that densities can still vary.
         """
         stored = self.header.pool_spp
-        return stored if target_spp <= stored else 2 * math.ceil(target_spp)
+        return stored if spp <= stored else 2 * math.ceil(spp)
 
-    def open(self, traits: Traits, target_spp: float, seed: int, device: torch.device) -> Clip:
+    def open(self, traits: Traits, spp: float, seed: int, device: torch.device) -> Clip:
         """The clip with the buffers that `traits` declare; no stored sample is read."""
-        max_samples = max_samples_needed(traits, target_spp, self.pool_spp(target_spp))
+        max_samples = max_samples_needed(traits, spp, self.pool_spp(spp))
         stored = open_clip(self.folder, traits.inputs, max_samples, traits.pool, seed, device)
         return open_live_clip(stored, max_samples)
 
@@ -162,12 +133,12 @@ def samples_at_cap(traits: Traits, pool_spp: int) -> int:
     return pool_spp if traits.max_samples is None else min(pool_spp, traits.max_samples)
 
 
-def max_samples_needed(traits: Traits, target_spp: float, pool_spp: int) -> int:
+def max_samples_needed(traits: Traits, spp: float, pool_spp: int) -> int:
     """Most samples of one pixel that a method can draw from a pool of `pool_spp`.
 
-    Adaptive methods may draw up to their `max_samples` in one pixel, others ceil(target_spp).
+    Adaptive methods may draw up to their `max_samples` in one pixel, others ceil(spp).
     """
     limit = samples_at_cap(traits, pool_spp)
     if traits.adaptive:
         return limit
-    return min(limit, max(1, traits.min_samples, math.ceil(target_spp)))
+    return min(limit, max(1, traits.min_samples, math.ceil(spp)))

@@ -1,31 +1,33 @@
 """The cost of a frame's samples and of its G-buffer, measured or published.
 
 `measured` is the time in the clip's header if the clip was rendered on this machine, else the time
-of this machine's own path tracer, measured once and cached. Any other name is a cost profile
-(`cost_profile`).
+of this machine's own path tracer, measured once and cached. Any other name is a cost profile:
+published times of a renderer, and of methods, on a named machine.
 """
 
 from __future__ import annotations
 
 import json
 import math
-from dataclasses import dataclass, replace
+from collections.abc import Iterator, Mapping
+from dataclasses import MISSING, dataclass, field, fields, replace
+from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from rlbench import registry
-from rlbench.benchmark.cost_profile import MEASURED, CostError, CostProfile, profile, profiles
 from rlbench.benchmark.results import UNRELIABLE
-from rlbench.system import code_hash, paths, provenance
+from rlbench.errors import RlbenchError
+from rlbench.registry.near_names import suggest
+from rlbench.system import code_hash, documents, paths, provenance
 
 if TYPE_CHECKING:
     from rlbench.clips.stored import Header
 
 __all__ = [
-    "FULL_FRAME",
-    "MEASURED",
     "Cost",
     "CostError",
     "CostProfile",
+    "ProfileTime",
     "Scatter",
     "measured",
     "profile",
@@ -35,7 +37,149 @@ __all__ = [
     "with_gbuffer",
 ]
 
+MEASURED = "measured"  # the name of no profile: times of this machine
+PROFILES = Path(__file__).parent / "profiles"
+TABLES = ("scene_ms", "inference_ms")
+PAGE = "docs/how-to/charge-your-renderer.md has one to copy"
+UNKNOWN_GBUFFER = (
+    "not known, charged as 0: rlbench render --remeasure-sample-time measures it for presets"
+)
 MAX_SPREAD = 1.25  # p95 / p5 of the time of a sample; beyond it the machine was busy
+
+
+class CostError(RlbenchError, ValueError):
+    """A cost profile that does not exist or cannot be used."""
+
+
+class ProfileTime(NamedTuple):
+    """A time from a profile and where it comes from."""
+
+    ms: float
+    convention: str
+    note: str = ""
+
+
+@dataclass(frozen=True)
+class CostProfile:
+    """Times on a named machine: of a full frame at 1 sample per pixel by scene, and of methods.
+
+    `inference_ms` is optional. Without it, inference is measured here, on another device than the
+    samples.
+    """
+
+    title: str
+    source: str
+    device: str
+    height: int  # pixels
+    width: int  # pixels
+    default_ms: float  # for scenes that are not in scene_ms
+    scene_ms: Mapping[str, float]
+    inference_ms: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
+    # by size, as in "720x720" (width x height), and method
+
+    def sample(self, scene: str, height: int, width: int) -> ProfileTime:
+        """The scene's published time, scaled linearly in pixels from the profile's size.
+
+        >>> profile("paper-2080ti").sample("city", 360, 720).ms
+        17.25
+        """
+        share = height * width / (self.height * self.width)
+        note = "" if scene in self.scene_ms else f"the profile's default, as it has no '{scene}'"
+        ms = self.scene_ms.get(scene, self.default_ms) * share
+        return ProfileTime(ms, self._convention(f"{self.width}x{self.height}"), note)
+
+    def inference(self, method: str, height: int, width: int) -> ProfileTime | None:
+        """The method's published inference time, or None; scaled from the nearest size it has.
+
+        >>> profile("paper-2080ti").inference("ours/latent", 360, 720).ms
+        11.25
+        """
+        times = {
+            size: by_method[method]
+            for size, by_method in self.inference_ms.items()
+            if method in by_method
+        }
+        if not times:
+            return None
+        pixels = height * width
+        size = min(times, key=lambda size: abs(math.log(_pixels(size) / pixels)))
+        return ProfileTime(times[size] * pixels / _pixels(size), self._convention(size))
+
+    def _convention(self, size: str) -> str:
+        return f"{self.device}, {self.source}, scaled by pixels from {size}"
+
+
+def profiles() -> list[str]:
+    """Names of the profiles that ship.
+
+    >>> profiles()
+    ['paper-2080ti']
+    """
+    return sorted(file.stem for file in PROFILES.glob("*.toml"))
+
+
+def profile(name: str) -> CostProfile:
+    """A cost profile by name, or by the path of a TOML file. Raises CostError."""
+    file = PROFILES / f"{name}.toml" if name in profiles() else Path(name)
+    if not file.is_file():
+        names = [MEASURED, *profiles()]
+        raise CostError(
+            f"no cost profile '{name}'. Use {', '.join(names)}, or the path of a TOML file"
+            f"{suggest(name, names)}"
+        )
+    try:
+        document = documents.read_toml(file)
+        _check(name, document)
+        return documents.decode(document, CostProfile)
+    except CostError:
+        raise
+    except ValueError as error:
+        raise CostError(f"cost profile '{name}' cannot be read: {error}. {PAGE}") from error
+
+
+def _check(name: str, document: Mapping[str, Any]) -> None:
+    """Raise CostError for missing and unknown keys, and for numbers that are no times or sizes."""
+    required = [each.name for each in fields(CostProfile) if each.default_factory is MISSING]
+    missing = [key for key in required if key not in document]
+    unknown = documents.unknown_keys(document, CostProfile)
+    if missing or unknown:
+        faults = {"missing": missing, "unknown": unknown}
+        keys = "; ".join(f"{what}: {', '.join(keys)}" for what, keys in faults.items() if keys)
+        raise CostError(f"cost profile '{name}' cannot be read: {keys}. {PAGE}")
+    bad = [key for key, time in _times(document) if not _is_at_least(0, time)]
+    bad += [key for key in ("height", "width") if not _is_at_least(1, document.get(key, 1))]
+    if bad:
+        raise CostError(
+            f"cost profile '{name}': {', '.join(bad)} must be numbers, a time at least 0, a side "
+            "at least 1; scene_ms is a table of times by scene, inference_ms has such a table by "
+            "method for each size, as in [inference_ms.720x720]"
+        )
+
+
+def _times(document: Mapping[str, Any]) -> Iterator[tuple[str, Any]]:
+    """Every time of a profile with its key; a table that is none, or a bad size, is not a time."""
+    yield "default_ms", document.get("default_ms", 0)
+    for table in TABLES:
+        times = document.get(table, {})
+        if not isinstance(times, Mapping):
+            yield table, math.nan
+        elif table == "scene_ms":
+            yield from times.items()
+        else:
+            for size, by_method in times.items():
+                is_table = isinstance(by_method, Mapping) and _pixels(size) > 0
+                yield from by_method.items() if is_table else [(f"{table}.{size}", math.nan)]
+
+
+def _pixels(size: str) -> int:
+    """Pixels of a size such as "720x480"; 0 if it is none."""
+    width, _, height = size.partition("x")
+    return int(width) * int(height) if width.isdecimal() and height.isdecimal() else 0
+
+
+def _is_at_least(minimum: float, value: object) -> bool:
+    """Is it a finite number of at least `minimum`?"""
+    return isinstance(value, int | float) and minimum <= value < math.inf
 
 
 class Scatter(NamedTuple):
@@ -95,20 +239,17 @@ def measured(header: Header, machine: str, pool: str = "path") -> Cost:
         tracer = header.tracer_of_times
         convention += f", {tracer}" * bool(tracer)
         return Cost(known_ms, convention, _spread_reason(header) or note, _device(tracer, machine))
+    reason = f"rendered on '{header.device}', not here, and "
     if header.scene not in registry.list_entries("scenes"):
-        reason = (
-            f"rendered on '{header.device}', not here, and '{header.scene}' is not a scene that "
-            "can be traced here; give your renderer's time: --cost mine.toml "
-            "(docs/how-to/charge-your-renderer.md)"
+        reason += (
+            f"'{header.scene}' is not a scene that can be traced here; give your renderer's time: "
+            "--cost mine.toml (docs/how-to/charge-your-renderer.md)"
         )
         return Cost(math.nan, convention, reason, machine)
     try:
         sample_ms, tracer = _traced_here(header, machine, pool)
     except Exception as error:  # a missing scene or tracer is a reason, it does not stop a run
-        reason = (
-            f"rendered on '{header.device}', not here, and cannot be traced here: "
-            f"{type(error).__name__}: {error}"
-        )
+        reason += f"cannot be traced here: {type(error).__name__}: {error}"
         return Cost(math.nan, convention, reason, machine)
     return Cost(sample_ms, f"{convention}, {tracer}", note, _device(tracer, machine))
 
@@ -137,19 +278,11 @@ def with_gbuffer(cost: Cost, path_ms: float, header: Header) -> Cost:
     its time, it is charged as 0.
     """
     if not (header.gbuffer_ms > 0 and header.sample_ms > 0):
-        unknown = (
-            "not known, charged as 0: rlbench render --remeasure-sample-time measures it for "
-            "presets"
-        )
-        return replace(cost, gbuffer_convention=unknown)
+        return replace(cost, gbuffer_convention=UNKNOWN_GBUFFER)
     relative = header.gbuffer_ms / header.sample_ms
     convention = f"{relative:.3g} path samples, as measured on '{header.device}'"
-    known = path_ms * relative
-    return replace(
-        cost,
-        gbuffer_ms=known if math.isfinite(known) else 0.0,
-        gbuffer_convention=convention,
-    )
+    known = path_ms * relative if math.isfinite(path_ms) else 0.0
+    return replace(cost, gbuffer_ms=known, gbuffer_convention=convention)
 
 
 def _device(tracer: str, machine: str) -> str:
@@ -159,7 +292,7 @@ def _device(tracer: str, machine: str) -> str:
 
 def _spread_reason(header: Header) -> str:
     """Why the time of a sample in a header must not be believed; empty if it may."""
-    if header.sample_p95_ms <= MAX_SPREAD * header.sample_p5_ms:  # both are 0 in older clips
+    if header.sample_p95_ms <= MAX_SPREAD * header.sample_p5_ms:  # both are 0 where unknown
         return ""
     return (
         f"{UNRELIABLE} a sample took {header.sample_p5_ms:.3g} to {header.sample_p95_ms:.3g} ms "
@@ -171,34 +304,22 @@ def _spread_reason(header: Header) -> str:
 def _traced_here(header: Header, machine: str, pool: str) -> tuple[float, str]:
     """Milliseconds of a sample by this machine's tracer, from the cache or now, and the tracer."""
     scene = registry.load_plugin("scenes", header.scene)()
-    from rlbench.render.mitsuba.open_tracer import describe_tracer
+    from rlbench.render.jobs.extra_pools import pool_sample_ms
+    from rlbench.render.mitsuba.open_tracer import describe_tracer, sample_ms
 
     file, tracer = paths.cache_folder() / "sample_ms.json", describe_tracer()
     times = json.loads(file.read_text()) if file.is_file() else {}
-    size = f"{header.width}x{header.height}"
-    key = f"{header.scene} {size} {machine} {tracer} {_code(header.scene)}"
+    key = f"{header.scene} {header.width}x{header.height} {machine} {tracer} {_code(header.scene)}"
     key += f" {pool}" * (pool != "path")
     if key not in times:
-        times[key] = _trace(scene, header, pool)
+        size = scene, header.height, header.width
+        times[key] = float(sample_ms(*size) if pool == "path" else pool_sample_ms(*size, pool))
         with paths.atomic_write(file) as temporary:
             temporary.write_text(json.dumps(times, indent=1))
     return float(times[key]), tracer
 
 
 def _code(scene: str) -> str:
-    """Hash of the code of a scene and of the tracer; empty without such a scene."""
-    entry = registry.list_entries("scenes").get(scene)
-    if entry is None:
-        return ""
-    modules = code_hash.import_closure(entry.target.partition(":")[0])
-    return code_hash.code_hash(modules, core=["rlbench.render"])
-
-
-def _trace(scene: Any, header: Header, pool: str) -> float:
-    """Milliseconds of one sample per pixel of the scene, traced now."""
-    from rlbench.render.jobs.extra_pools import pool_sample_ms
-    from rlbench.render.mitsuba.open_tracer import sample_ms
-
-    if pool != "path":
-        return float(pool_sample_ms(scene, header.height, header.width, pool))
-    return float(sample_ms(scene, header.height, header.width))
+    """Hash of the code of a scene and of the tracer."""
+    target = registry.list_entries("scenes")[scene].target.partition(":")[0]
+    return code_hash.code_hash(code_hash.import_closure(target), core=["rlbench.render"])

@@ -13,8 +13,7 @@ from pathlib import Path
 
 from rlbench import registry
 from rlbench.benchmark.clip_sources import StoredSource
-from rlbench.benchmark.resolve import resolve_method
-from rlbench.benchmark.run_plan import RunPlan
+from rlbench.benchmark.run_plan import RunPlan, row_name
 from rlbench.benchmark.runner import ProgressCallbacks, RunSummary, measure
 from rlbench.render.jobs import render_clips
 from rlbench.render.presets import PRESETS
@@ -36,17 +35,13 @@ class Fold:
     clips: tuple[StoredSource, ...]
 
 
-def _no_progress_bar(plan: RunPlan) -> AbstractContextManager[ProgressCallbacks]:
-    return nullcontext(ProgressCallbacks())
-
-
 def crossval(
     folds: Sequence[Fold],
     runs: TrainingRuns,
     plan: RunPlan,
     results: Path,
     on_fold: Callable[[str], None] = lambda message: None,
-    progress_bar: ProgressBar = _no_progress_bar,
+    progress_bar: ProgressBar = lambda plan: nullcontext(ProgressCallbacks()),
 ) -> RunSummary:
     """Measure every method of `plan` on each fold's scene, with weights trained without it.
 
@@ -100,7 +95,4 @@ def variant_to_train(name: str) -> str:
 def row_names(plan: RunPlan) -> list[str]:
     """Names of the rows of a cross-validation of `plan`."""
     held_out = replace(plan, held_out_scene="any")
-    return [
-        resolve_method(held_out, name).row_name if variant_to_train(name) else name
-        for name in plan.methods
-    ]
+    return [row_name(held_out, name) if variant_to_train(name) else name for name in plan.methods]

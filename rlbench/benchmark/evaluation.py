@@ -8,56 +8,42 @@ evaluation tries it again.
 
 from __future__ import annotations
 
+import importlib.metadata
 import math
-from collections.abc import Callable, Collection, Iterator, Sequence
+import re
+from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
+from hashlib import sha256
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import torch
 
 from rlbench import registry
-from rlbench.benchmark import cell_images, results
-from rlbench.benchmark.cell_images import KeptImages
+from rlbench.benchmark import results
+from rlbench.benchmark.cell_images import KeptCell
 from rlbench.benchmark.cell_key import FAILED, CellId
-from rlbench.benchmark.clip_sources import StoredSource
-from rlbench.benchmark.evaluated_metrics import EvaluatedMetric
-from rlbench.benchmark.ground_truth_cache import buffers_of_truth, make_ground_truth
 from rlbench.benchmark.results import WHOLE_CLIP, Row
-from rlbench.benchmark.scoring import compare_frame, refusal_row, score_clip, score_frame
-from rlbench.clips.header import Header
+from rlbench.benchmark.scoring import (
+    buffers_of_truth,
+    compare_frame,
+    make_ground_truth,
+    refusal_row,
+    score_clip,
+    score_frame,
+)
 from rlbench.clips.stored import open_clip
-from rlbench.errors import RlbenchError
+from rlbench.errors import OptionError
 from rlbench.frames import Samples, StoredPool
 from rlbench.run import FrameResult
+from rlbench.system import code_hash, provenance
 from rlbench.system.folder_lock import locked_folder
 
-__all__ = [
-    "EvaluationError",
-    "EvaluationSummary",
-    "KeptCell",
-    "evaluate",
-    "find_kept_cells",
-    "image_pools",
-]
+__all__ = ["EvaluatedMetric", "EvaluationSummary", "evaluate", "select_metrics"]
 
-
-class EvaluationError(RlbenchError, ValueError):
-    """Images that cannot be scored: there are none, or they show another clip."""
-
-
-class KeptCell(NamedTuple):
-    """A finished cell of a run whose images were kept."""
-
-    cell: CellId
-    images: KeptImages
-    clip: StoredSource
-
-    @property
-    def header(self) -> Header:
-        """The header of the clip."""
-        return self.clip.header
+SCORING = ("rlbench.benchmark.evaluation", "rlbench.benchmark.scoring")  # images to numbers
+OF_RUNS = "srgb"  # the convention in which a run scores
 
 
 @dataclass(frozen=True)
@@ -67,50 +53,6 @@ class EvaluationSummary:
     scored: int = 0
     cached: int = 0  # in the results already
     failures: tuple[str, ...] = ()  # cell, metric and reason of each that an error stopped
-
-
-def image_pools(folder: Path) -> set[str]:
-    """Kinds of the sample pools of all images in a results folder.
-
-    Raises EvaluationError where there is no image.
-    """
-    pools = {images.pool for images in cell_images.list_images(folder)}
-    if not pools:
-        problem = "has no images" if folder.is_dir() else "does not exist"
-        raise EvaluationError(f"{folder} {problem}; `rlbench run --keep-images` makes them")
-    return pools
-
-
-def find_kept_cells(
-    folder: Path, clips: Sequence[StoredSource], methods: Collection[str] = ()
-) -> list[KeptCell]:
-    """The cells in a results folder with images of `clips`; all `methods`, or those named.
-
-    Raises EvaluationError where there is none, and where a clip has changed since the images.
-    """
-    by_name = {clip.header.name: clip for clip in clips}
-    kept = []
-    for cell in sorted(results.cells(folder), key=lambda cell: cell.file_stem):
-        is_selected = not methods or cell.key.method in methods
-        images = cell_images.find_images(folder, cell)
-        if images and is_selected and cell.key.clip in by_name:
-            kept.append(KeptCell(cell, images, by_name[cell.key.clip]))
-    if not kept:
-        keys = [images.cell.key for images in cell_images.list_images(folder)]
-        stored_methods, stored_clips = {key.method for key in keys}, {key.clip for key in keys}
-        raise EvaluationError(
-            f"{folder} has no images of {', '.join(methods) or 'any method'} on "
-            f"{', '.join(by_name)}; it has {', '.join(sorted(stored_methods))} on "
-            f"{', '.join(sorted(stored_clips))}. `rlbench run --keep-images` makes images"
-        )
-    for cell, images, clip in kept:
-        if (digest := clip.content(images.pool)) != images.clip_digest:
-            raise EvaluationError(
-                f"the images of '{cell.key}' show a clip with digest {images.clip_digest}, but "
-                f"{clip.folder} has {digest}, so its references may be others. Select the clip "
-                "of the images, or repeat `rlbench run --keep-images`"
-            )
-    return kept
 
 
 def evaluate(
@@ -141,7 +83,13 @@ def _evaluate(
     stored = results.cells(out)
     scored, cached, failures = 0, 0, []
     for kept in cells:
-        ids = {each: _cell_id(kept, each) for each in metrics}
+        ids = {
+            each: CellId(
+                replace(kept.cell.key, metric=each.name),
+                f"{kept.cell.content_hash}-{each.content_hash}",
+            )
+            for each in metrics
+        }
         due, current = [each for each in metrics if ids[each] not in stored], set(ids.values())
         cached += len(metrics) - len(due)
         for each, rows, reason in _score_cell(kept, due, _template(folder, kept.cell)):
@@ -154,11 +102,6 @@ def _evaluate(
             results.drop_cell(out, older)
         on_cell(kept)
     return EvaluationSummary(scored, cached, tuple(failures))
-
-
-def _cell_id(kept: KeptCell, each: EvaluatedMetric) -> CellId:
-    key = replace(kept.cell.key, metric=each.name)
-    return CellId(key, f"{kept.cell.content_hash}-{each.content_hash}")
 
 
 def _outdated(
@@ -237,3 +180,83 @@ def _compare_frames(
         truth = make_ground_truth(metric, frame)
         compared = compare_frame(metric, result, truth, compared, kept.images.max_samples)
         yield result, compared
+
+
+class EvaluatedMetric(NamedTuple):
+    """A metric under one convention, and a hash of what its scores depend on beside the images."""
+
+    metric: Any  # as metrics.metric.Metric
+    content_hash: str
+
+    @property
+    def name(self) -> str:
+        """The name of its rows, such as psnr or psnr@hable."""
+        return str(self.metric.name)
+
+
+def select_metrics(names: Iterable[str], conventions: Iterable[str] = ()) -> list[EvaluatedMetric]:
+    """The named metrics; those that take a convention, under each of `conventions`.
+
+    Without conventions, and under srgb, each metric is as a run scores it. Raises PluginError for
+    an unknown metric and for one whose package is not installed, and OptionError for a convention
+    that is unknown or that none of the metrics takes.
+    """
+    loaded = {name: _load(name) for name in dict.fromkeys(names)}
+    requested = list(dict.fromkeys(conventions))
+    if requested and not any(metric.takes_convention for metric in loaded.values()):
+        raise OptionError(
+            f"--convention {','.join(requested)}: {', '.join(loaded)} takes no convention. Omit "
+            "it, or add a metric such as psnr"
+        )
+    return [
+        EvaluatedMetric(metric, _content_hash(name, metric))
+        for name, plain in loaded.items()
+        for metric in _variants(plain, requested)
+    ]
+
+
+def _variants(metric: Any, conventions: Sequence[str]) -> list[Any]:
+    """The metric under each convention, if it takes one and there are any; else as it is.
+
+    Under that of runs it has its plain name.
+    """
+    if not conventions or not metric.takes_convention:
+        return [metric]
+    variants = []
+    for convention in conventions:
+        try:
+            variants.append(metric if convention == OF_RUNS else metric.under(convention))
+        except ValueError as error:
+            raise OptionError(f"--convention {convention}: {error}") from error
+    return variants
+
+
+def _load(name: str) -> Any:
+    metric = registry.load_or_explain("metrics", name)
+    if missing := provenance.missing_packages(metric.requires):
+        raise registry.PluginError(
+            f"metric '{name}' needs {', '.join(missing)}, which is not installed: pip install "
+            f"{_extra_with(missing[0]) or ' '.join(missing)}"
+        )
+    return metric
+
+
+def _content_hash(entry: str, metric: Any) -> str:
+    """Hash of a metric's code, convention and packages, and of the code that scores images."""
+    target = registry.list_entries("metrics")[entry].target.partition(":")[0]
+    code = code_hash.code_hash(code_hash.import_closure(target), core=SCORING)
+    content = (metric.name, metric.convention, code, provenance.package_versions(metric.requires))
+    return sha256(repr(content).encode()).hexdigest()[:16]
+
+
+def _extra_with(package: str) -> str:
+    """The extra of rlbench that installs a package, as pip reads it; empty without one.
+
+    >>> _extra_with("numcodecs")
+    "'rlbench[noisebase]'"
+    """
+    for line in importlib.metadata.requires("rlbench") or ():
+        match = re.match(rf"{re.escape(package)}\b.*extra == ['\"](\w+)['\"]", line)
+        if match and match[1] != "dev":
+            return f"'rlbench[{match[1]}]'"
+    return ""

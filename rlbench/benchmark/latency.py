@@ -1,33 +1,33 @@
 """Times of methods on this device, measured together: what a frame's inference takes.
 
-`time_methods` runs all rows in interleaved rounds (`rlbench.benchmark.clock`) and summarises the
-frames of each. The parts of a row are averages over the same frames, so that they add up.
+`time_methods` runs all rows in interleaved rounds and summarises the frames of each: a row runs a
+few frames in turn, between calibrations, until its time is steady. A drift of the machine therefore
+meets all rows alike, and a busy phase is left out and repeated. Each row keeps one running clip, so
+that its frames have real states. The parts of a row are averages over the same frames, so that they
+add up.
 """
 
 from __future__ import annotations
 
+import math
 import statistics
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from itertools import chain, repeat
-from typing import NamedTuple
+from typing import NamedTuple, TypeVar
 
 import torch
 
-from rlbench.benchmark.clock.calibration import (
+from rlbench.benchmark.clock import (
     MIN_PROCESSOR_SHARE,
+    Calibration,
     Calibrator,
-    load_average,
-    make_kernel,
-)
-from rlbench.benchmark.clock.reliability import half_width, middle_half, unreliable_reason
-from rlbench.benchmark.clock.rounds import Limits, Session, Track, Visit
-from rlbench.benchmark.clock.stopwatch import (
-    Clock,
     FrameTime,
     Stopwatch,
     SystemClock,
     TimedMethod,
+    load_average,
+    make_kernel,
     timed_reader,
 )
 from rlbench.frames import Clip
@@ -36,10 +36,31 @@ from rlbench.run import run_clip
 from rlbench.system import provenance
 from rlbench.system.process_settings import keep_freed_memory
 
-__all__ = ["PARTS", "REPEATS", "PartTime", "TimedRow", "Timing", "device_name", "time_methods"]
+__all__ = [
+    "Limits",
+    "PartTime",
+    "TimedRow",
+    "Timing",
+    "device_name",
+    "half_width",
+    "is_steady",
+    "median_ranks",
+    "middle_half",
+    "time_methods",
+]
 
 REPEATS = 10  # timed frames of a row, at least
 PARTS = ("plan", "allocate", "denoise")  # of inference, in the order of a frame
+UNTIMED, TIMED = 1, 3  # frames of a row in each round
+MIN_ROUNDS = 3
+MAX_SECONDS = 20.0  # of one row, once it has `min_rounds`
+MAX_STRETCH_MS = 500.0  # between two calibrations, if a row's visit takes no longer
+WARM_UP = 2  # calibrations before the first that counts
+T = TypeVar("T")
+LEVEL = 0.95  # of the interval of the median
+TARGET = 0.02  # half width of the interval, relative to the median, at which measuring stops
+ACCEPTED = 0.05  # largest half width of a time that may be believed
+FLOOR_MS = 0.05  # a half width that is small enough for any time
 
 
 class TimedRow(NamedTuple):
@@ -47,7 +68,7 @@ class TimedRow(NamedTuple):
 
     method: Method
     clip: Clip
-    target_spp: float
+    spp: float
 
 
 class PartTime(NamedTuple):
@@ -112,11 +133,11 @@ def device_name(device: torch.device) -> str:
     return device.type
 
 
-def _frames(row: TimedRow, clock: Clock) -> Iterator[FrameTime]:
+def _frames(row: TimedRow, clock: SystemClock) -> Iterator[FrameTime]:
     """The times of one frame after another, without end."""
     stopwatch = Stopwatch(clock)
     method, read = TimedMethod(row.method, stopwatch), timed_reader(stopwatch)
-    clips = (run_clip(method, row.clip, row.target_spp, read) for _ in repeat(None))
+    clips = (run_clip(method, row.clip, row.spp, read) for _ in repeat(None))
     for _ in chain.from_iterable(clips):
         yield stopwatch.read_and_reset(row.method.traits.adaptive)
 
@@ -162,3 +183,180 @@ def _describe_load(session: Session, visits: Sequence[Visit]) -> str:
     text += "a quiet moment"
     shares = [s for s in (each.processor_share for each in seen) if s < MIN_PROCESSOR_SHARE]
     return f"{text}, {min(shares):.0%} of the processor time it asked for" if shares else text
+
+
+class Limits(NamedTuple):
+    """How many rounds a row runs."""
+
+    min_rounds: int
+    max_rounds: int
+    max_seconds: float = MAX_SECONDS
+
+    @staticmethod
+    def of_repeats(repeats: int) -> Limits:
+        """Limits for at least `repeats` timed frames.
+
+        >>> Limits.of_repeats(10)
+        Limits(min_rounds=4, max_rounds=10, max_seconds=20.0)
+        """
+        least = max(MIN_ROUNDS, math.ceil(repeats / TIMED))
+        return Limits(least, max(least, repeats))
+
+
+class Visit(NamedTuple):
+    """The timed frames of one row in one round."""
+
+    frames: tuple[FrameTime, ...]
+    calibration: int  # index of the calibration before; the next one is that after
+
+
+@dataclass
+class Track:
+    """One row: its running frames, and what was measured of them."""
+
+    frames: Iterator[FrameTime]  # endless
+    visits: list[Visit] = field(default_factory=list)
+    spent_ms: float = 0.0
+    error: Exception | None = None
+    is_done: bool = False
+
+
+@dataclass
+class Session:
+    """Tracks that are measured together, and the calibrations between their visits."""
+
+    calibrator: Calibrator
+    limits: Limits
+    calibrations: list[Calibration] = field(default_factory=list)
+    _calibrated_at: float = 0.0
+
+    def run(self, tracks: Sequence[Track], on_done: Callable[[], None] = lambda: None) -> None:
+        """Measure all tracks; `on_done` is called for each that is steady, at its cap, or failed.
+
+        A track whose frames raise an exception keeps it in `error`; the others go on.
+        """
+        for _ in range(WARM_UP):
+            self.calibrator.measure()
+        self._calibrate()
+        while active := [track for track in tracks if not track.is_done]:
+            for track in active:
+                if self._now() - self._calibrated_at > MAX_STRETCH_MS:
+                    self._calibrate()
+                self._visit(track)
+            self._calibrate()
+            for track in active:
+                track.is_done = track.error is not None or self._is_finished(track)
+                if track.is_done:
+                    on_done()
+
+    @property
+    def quiet_ms(self) -> float:
+        """The kernel's time on the quiet machine: the lower quartile of all calibrations.
+
+        Single readings may be lucky: on a quiet virtual machine the shortest of 40 took 0.70 times
+        the median. A machine that is slower for more than three quarters of a session, but lets
+        no thread wait, therefore counts as quiet.
+        """
+        times = sorted(calibration.ms for calibration in self.calibrations)
+        return times[(len(times) - 1) // 4]
+
+    def select_quiet_visits(self, track: Track) -> list[Visit]:
+        """The visits of a track between two quiet calibrations."""
+        quiet_ms = self.quiet_ms
+        return [
+            visit
+            for visit in track.visits
+            if all(each.is_quiet(quiet_ms) for each in self.around(visit))
+        ]
+
+    def around(self, visit: Visit) -> list[Calibration]:
+        """The calibrations before and after a visit."""
+        return self.calibrations[visit.calibration : visit.calibration + 2]
+
+    def _visit(self, track: Track) -> None:
+        start = self._now()
+        try:
+            readings = tuple(next(track.frames) for _ in range(UNTIMED + TIMED))
+        except Exception as error:  # whatever a method may raise is the result of its row
+            track.error = error
+            return
+        track.visits.append(Visit(readings[UNTIMED:], len(self.calibrations) - 1))
+        track.spent_ms += self._now() - start
+
+    def _calibrate(self) -> None:
+        self.calibrations.append(self.calibrator.measure())
+        self._calibrated_at = self._now()
+
+    def _is_finished(self, track: Track) -> bool:
+        """Is the time of a track steady, or has it had all rounds that it may have?"""
+        counted, least = self.select_quiet_visits(track), self.limits.min_rounds
+        times = [frame.inference for visit in counted for frame in visit.frames]
+        if len(counted) >= least and is_steady(times):
+            return True
+        is_late = track.spent_ms > 1e3 * self.limits.max_seconds and len(track.visits) >= least
+        return is_late or len(track.visits) >= self.limits.max_rounds
+
+    def _now(self) -> float:
+        return self.calibrator.clock.wall_ms()
+
+
+def median_ranks(count: int, level: float = LEVEL) -> tuple[int, int] | None:
+    """Ranks (from 0) of the order statistics that enclose the median with probability `level`.
+
+    They hold for any distribution (Conover 1999, Practical Nonparametric Statistics, section 3.2).
+    None for fewer values than such an interval needs.
+
+    >>> median_ranks(6), median_ranks(20), median_ranks(5)
+    ((0, 5), (5, 14), None)
+    """
+    tail, low = 0.0, -1
+    while low < count:
+        tail += math.comb(count, low + 1) / 2**count
+        if tail > (1 - level) / 2:
+            break
+        low += 1
+    return (low, count - 1 - low) if low >= 0 else None
+
+
+def half_width(times: Sequence[float]) -> float:
+    """Half the width of the interval of the median, in the units of `times`; inf for too few."""
+    ranks = median_ranks(len(times))
+    if ranks is None:
+        return math.inf
+    ordered = sorted(times)
+    return (ordered[ranks[1]] - ordered[ranks[0]]) / 2
+
+
+def is_steady(times: Sequence[float], target: float = TARGET) -> bool:
+    """Is the median of these times, in milliseconds, known well enough?"""
+    if not times:
+        return False
+    return half_width(times) <= max(FLOOR_MS, target * statistics.median(times))
+
+
+def middle_half(ordered: Sequence[T]) -> Sequence[T]:
+    """The items between the quartiles of an ordered sequence; at least one.
+
+    >>> middle_half([1, 2, 3, 4, 5, 6, 7, 8])
+    [3, 4, 5, 6]
+    """
+    cut = len(ordered) // 4
+    return ordered[cut : len(ordered) - cut]
+
+
+def unreliable_reason(
+    times: Sequence[float], counted: int, rounds: int, min_rounds: int, busy: str
+) -> str:
+    """Why the median of `times` must not be believed; empty if it may.
+
+    `counted` of `rounds` rounds ran on a quiet machine; `busy` says how busy it was otherwise.
+    """
+    if counted < min_rounds:
+        return f"the machine was busy in {rounds - counted} of {rounds} rounds ({busy})"
+    if is_steady(times, ACCEPTED):
+        return ""
+    share = half_width(times) / statistics.median(times)
+    return (
+        f"the {LEVEL:.0%} interval of the median is +-{share:.1%} after {counted} rounds, "
+        f"above {ACCEPTED:.0%}"
+    )

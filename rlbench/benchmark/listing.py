@@ -1,18 +1,45 @@
-"""What is installed, as plain data: for people as tables, for scripts as JSON."""
+"""What is installed, as plain data: for people as tables, for scripts as JSON, for pages as facts.
+
+torch is imported only where weights have a card. Scenes are built for `scene_facts` alone, which
+takes a few seconds, but not rendered.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from typing import Any
+import importlib
+import inspect
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
 
 from rlbench import registry
 from rlbench.benchmark import cost
-from rlbench.family import Variant
+from rlbench.family import Traits, Variant
 from rlbench.registry.near_names import unknown_name
+from rlbench.render.presets import GENERATORS, PRESETS, TEST_SCENES
+from rlbench.render.scene import Scene
 
-__all__ = ["Listing", "list_installed"]
+if TYPE_CHECKING:
+    from rlbench.weights import ModelCard
 
-Listing = dict[str, list[dict[str, Any]]]  # one list of rows a kind
+__all__ = [
+    "MethodFacts",
+    "SceneFacts",
+    "TakeFacts",
+    "list_installed",
+    "method_facts",
+    "scene_facts",
+]
+
+Row = dict[str, Any]
+Listing = dict[str, list[Row]]  # one list of rows a kind
+TAKE_FRAMES = 20  # of preset standard, which has all takes
+SKIES = {
+    "sunsky": "sun and sky",
+    "constant": "a sky of one colour",
+    "directional": "the sun, as a direction",
+    "envmap": "an environment map",
+}
 
 
 def list_installed(kind: str = "all") -> Listing:
@@ -28,7 +55,7 @@ def list_installed(kind: str = "all") -> Listing:
 
     Raises PluginError for an unknown kind.
     """
-    kinds: dict[str, Callable[[], list[dict[str, Any]]]] = {
+    kinds: dict[str, Callable[[], list[Row]]] = {
         "methods": _list_methods,
         "metrics": lambda: _list_plugins("metrics", ("unit", "direction", "convention")),
         "scenes": lambda: _find_plugins("scenes"),
@@ -43,19 +70,15 @@ def list_installed(kind: str = "all") -> Listing:
     return {name: rows() for name, rows in kinds.items() if kind in ("all", name)}
 
 
-def _list_methods() -> list[dict[str, Any]]:
+def _list_methods() -> list[Row]:
     rows = []
     for name, entry in registry.list_entries("methods").items():
         if error := registry.import_error("methods", name):
             rows.append({"name": name, "from": entry.origin, "broken": error})
             continue
         family = registry.load_family(name)
-        shared = {
-            "title": family.title,
-            "paper": family.paper,
-            "licence": family.licence,
-            "from": entry.origin,
-        }
+        shared = {name: getattr(family, name) for name in ("title", "paper", "licence")}
+        shared["from"] = entry.origin
         pairs = zip(family.method_names(), family.variants.values(), strict=True)
         rows += [{"name": method, **_describe(variant), **shared} for method, variant in pairs]
     return rows
@@ -84,11 +107,11 @@ def _describe_weights(variant: Variant) -> str:
     return f"shipped, by {variant.trained_by}" if variant.trained_by else "shipped"
 
 
-def _list_plugins(group: str, attributes: tuple[str, ...]) -> list[dict[str, Any]]:
+def _list_plugins(group: str, attributes: tuple[str, ...]) -> list[Row]:
     """Name, origin and some attributes of each plugin; the error of one that is broken."""
     rows = []
     for name, entry in registry.list_entries(group).items():
-        row: dict[str, Any] = {"name": name, "from": entry.origin}
+        row: Row = {"name": name, "from": entry.origin}
         if error := registry.import_error(group, name):
             row["broken"] = error
         else:
@@ -98,11 +121,11 @@ def _list_plugins(group: str, attributes: tuple[str, ...]) -> list[dict[str, Any
     return rows
 
 
-def _find_plugins(group: str) -> list[dict[str, Any]]:
+def _find_plugins(group: str) -> list[Row]:
     """Name and origin of each plugin, without importing it; the error of one without a module."""
     rows = []
     for name, entry in registry.list_entries(group).items():
-        row: dict[str, Any] = {"name": name, "from": entry.origin}
+        row: Row = {"name": name, "from": entry.origin}
         try:
             registry.module_file(entry.target)
         except registry.PluginError as error:
@@ -111,7 +134,7 @@ def _find_plugins(group: str) -> list[dict[str, Any]]:
     return rows
 
 
-def _list_presets() -> list[dict[str, Any]]:
+def _list_presets() -> list[Row]:
     from rlbench.render.presets import PRESETS
 
     return [
@@ -130,7 +153,137 @@ def _list_presets() -> list[dict[str, Any]]:
     ]
 
 
-def _list_profiles() -> list[dict[str, Any]]:
+def _list_profiles() -> list[Row]:
     measured = {"name": cost.MEASURED, "title": "this machine's path tracer"}
     profiles = [(name, cost.profile(name)) for name in cost.profiles()]
     return [measured, *({"name": n, "title": p.title, "source": p.source} for n, p in profiles)]
+
+
+@dataclass(frozen=True)
+class MethodFacts:
+    """A row of the benchmark: its family, its traits and its weights."""
+
+    name: str  # family or family/variant
+    family: str
+    title: str
+    question: str
+    paper: str
+    licence: str
+    learned: bool
+    weights: str  # where they come from, in words; empty without networks
+    card: ModelCard | None  # of the shipped weights
+    traits: Traits
+    broken: str = ""  # why the family cannot be imported
+
+
+@dataclass(frozen=True)
+class TakeFacts:
+    """A clip of a scene."""
+
+    clip: str
+    static: bool
+    cuts: tuple[int, ...]
+    light_changes: tuple[int, ...]
+
+
+@dataclass(frozen=True)
+class SceneFacts:
+    """A scene of the presets: what it shows, what lights it, and its clips."""
+
+    name: str
+    title: str
+    about: tuple[str, ...]  # paragraphs
+    lights: tuple[str, ...]
+    takes: tuple[TakeFacts, ...]
+    triangles: int  # 0 for a generator of scenes
+    presets: tuple[str, ...]
+    licence: str
+
+
+def method_facts() -> list[MethodFacts]:
+    """All installed rows, in the order of their families; those that cannot be imported last."""
+    facts = map(_method_facts, list_installed("methods")["methods"])
+    return sorted(facts, key=lambda each: bool(each.broken))
+
+
+def scene_facts() -> list[SceneFacts]:
+    """The test scenes, then the generators of scenes.
+
+    >>> [scene.name for scene in scene_facts()]
+    ['city', 'temple', 'hall', 'ripples', 'generated', 'eventful', 'hard']
+    """
+    return [
+        *(_scene_facts(name, registry.load_plugin("scenes", name)()) for name in TEST_SCENES),
+        *(_generator_facts(name) for name in GENERATORS),
+    ]
+
+
+def _method_facts(row: Mapping[str, Any]) -> MethodFacts:
+    name = str(row["name"])
+    if "broken" in row:
+        unknown = "", "", "", "", False, "", None
+        return MethodFacts(name, name, *unknown, Traits(), row["broken"])
+    variant = registry.get_variant(name)
+    texts = {key: str(row[key]) for key in ("title", "question", "paper", "licence", "weights")}
+    return MethodFacts(
+        name=name,
+        family=name.partition("/")[0],
+        learned=variant.learned,
+        card=_card(name) if variant.learned else None,
+        traits=variant.traits,
+        **texts,
+    )
+
+
+def _card(name: str) -> ModelCard | None:
+    """The model card of the weights that a method ships with, its own or another's."""
+    file = registry.shipped_weights(name)
+    if not file.is_file():
+        return None
+    from rlbench.weights import read_card
+
+    return read_card(file)
+
+
+def _scene_facts(name: str, scene: Scene) -> SceneFacts:
+    emitters = [mesh.name for mesh in scene.meshes if mesh.emission]
+    lights = [SKIES.get(str(each["type"]), str(each["type"])) for each in scene.sky]
+    lights += [f"meshes that glow: {', '.join(emitters)}"] if emitters else []
+    main = TakeFacts(name, scene.static, scene.cuts, scene.light_changes(TAKE_FRAMES))
+    takes = []
+    for take in scene.takes:
+        shot = scene.select_take(take.name)
+        changes = shot.light_changes(TAKE_FRAMES)
+        takes.append(TakeFacts(f"{name}-{take.name}", take.static, take.cuts, changes))
+    return SceneFacts(
+        name=name,
+        title=scene.title,
+        about=_paragraphs(name),
+        lights=tuple(lights),
+        takes=(main, *takes),
+        triangles=sum(len(mesh.faces) for mesh in scene.meshes),
+        presets=tuple(p.name for p in PRESETS.values() if name in p.scenes),
+        licence=scene.licence,
+    )
+
+
+def _generator_facts(name: str) -> SceneFacts:
+    presets = [p for p in PRESETS.values() if p.seeds and p.generator == name]
+    seeds = [f"{p.name}: seeds {min(p.seeds)} to {max(p.seeds)}" for p in presets]
+    return SceneFacts(
+        name=name,
+        title=f"{name.capitalize()} scenes, one for each seed",
+        about=(*_paragraphs(name), *seeds),
+        lights=("drawn from the seed",),
+        takes=(),
+        triangles=0,
+        presets=tuple(preset.name for preset in presets),
+        licence="Apache-2.0",
+    )
+
+
+def _paragraphs(name: str) -> tuple[str, ...]:
+    """The paragraphs of the docstring of the module that makes a scene."""
+    target = registry.list_entries("scenes")[name].target.partition(":")[0]
+    text = inspect.getdoc(importlib.import_module(target)) or ""
+    return tuple(" ".join(part.split()) for part in text.split("\n\n"))

@@ -12,37 +12,32 @@ import fcntl
 import io
 import os
 from collections import Counter
-from collections.abc import Collection, Mapping
+from collections.abc import Collection
 from datetime import UTC, datetime
 from hashlib import sha256
 from pathlib import Path
-from typing import TYPE_CHECKING
 
+from rlbench.benchmark.cell_key import CellKey
 from rlbench.render.presets import is_test_split
 from rlbench.system.paths import write_error
 
-if TYPE_CHECKING:
-    from rlbench.benchmark.resolve import ResolvedCell
-
-__all__ = ["COLUMNS", "FILE", "count_looks", "record_looks"]
+__all__ = ["count_looks", "record_looks"]
 
 FILE = "looks.csv"
 COLUMNS = ("date", "preset", "methods", "cells", "code_hash")
 
 
-def record_looks(
-    folder: Path, cells: Collection[ResolvedCell], code_hashes: Mapping[str, str]
-) -> None:
+def record_looks(folder: Path, cells: Collection[tuple[CellKey, str]]) -> None:
     """Append a line for each test preset of `cells`, which are about to be scored.
 
+    A cell comes with the hash of its method's code.
     Runs in parallel may append to one file: each locks it, and writes its lines at once. Raises
     WriteError where the folder takes no file.
     """
     lines = []
-    for preset in filter(is_test_split, sorted({cell.header.preset for cell in cells})):
-        scored = [cell for cell in cells if cell.header.preset == preset]
-        names = sorted({cell.key.method for cell in scored})
-        hashes = sorted({code_hashes[cell.method.name] for cell in scored})
+    for preset in filter(is_test_split, sorted({key.preset for key, _ in cells})):
+        scored = [(key.method, code) for key, code in cells if key.preset == preset]
+        names, hashes = (sorted(set(values)) for values in zip(*scored, strict=True))
         code = sha256(" ".join(hashes).encode()).hexdigest()[:16]
         date = datetime.now(UTC).strftime("%Y-%m-%dT%H:%M:%SZ")
         lines.append((date, preset, " ".join(names), len(scored), code))

@@ -1,19 +1,40 @@
-"""A run plan: which methods are measured on which clips, at which budgets, and how."""
+"""A run plan, its cells, and how a cell is loaded: where a run begins.
+
+A cell is one method on one clip at one budget with one seed.
+"""
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+import logging
+import re
+from dataclasses import dataclass, field, replace
+from itertools import product
+from pathlib import Path
 
 import torch
 
-from rlbench.backends import EAGER
-from rlbench.benchmark import cost, latency
-from rlbench.benchmark.cell_key import CellsError
-from rlbench.benchmark.clip_sources import Source
+from rlbench import registry
+from rlbench.backends import EAGER, use_backend
+from rlbench.benchmark.cell_key import CellKey, CellsError
+from rlbench.benchmark.clip_sources import FirstFrames, StoredSource
+from rlbench.benchmark.cost import MEASURED
+from rlbench.benchmark.latency import REPEATS, device_name
+from rlbench.benchmark.results import BF16, CROSSVAL, RESERVED_LABELS, TILES, RowName
+from rlbench.checks.returns import CheckedReturns
+from rlbench.clips.compatibility import incompatibility
+from rlbench.clips.header import Header
+from rlbench.family import Traits, Variant
+from rlbench.frames import Clip
+from rlbench.method import Method
+from rlbench.system.bfloat16 import require_native_bf16
+from rlbench.weights import training_clips
+from rlbench.wrappers import HalfPrecision, SkipTiles
 
-__all__ = ["DEFAULT_SPP", "RunPlan"]
+__all__ = ["Cell", "CellLoader", "RunPlan", "list_cells", "row_name", "weights_file"]
 
 DEFAULT_SPP = (0.5, 1.0, 2.0, 4.0)  # budgets, samples per pixel
+
+_logger = logging.getLogger(__name__)
 
 
 @dataclass(frozen=True)
@@ -21,14 +42,14 @@ class RunPlan:
     """Methods x clips x budgets x seeds to measure on one device."""
 
     methods: tuple[str, ...]  # family or family/variant
-    clips: tuple[Source, ...]
-    target_spp: tuple[float, ...] = DEFAULT_SPP  # budgets, samples per pixel
+    clips: tuple[StoredSource, ...]
+    spp: tuple[float, ...] = DEFAULT_SPP  # budgets, samples per pixel
     seeds: tuple[int, ...] = (0,)  # of the sample order and of rounding
     device: torch.device = field(default_factory=lambda: torch.device("cpu"))
-    cost: str = cost.MEASURED  # or a cost profile: a shipped one, or the path of a TOML file
+    cost: str = MEASURED  # or a cost profile: a shipped one, or the path of a TOML file
     weights: str | None = None  # None for the shipped ones, "random", or the path of a file
     limit_frames: int | None = None  # first frames of each clip only, for a trial run
-    repeats: int = latency.REPEATS  # timed frames, at least
+    repeats: int = REPEATS  # timed frames, at least
     bf16: bool = False  # run networks in bfloat16
     backend: str = EAGER  # that runs networks, see rlbench.backends
     skip_tiles: bool = False  # keep unchanged tiles of local methods, see rlbench.wrappers
@@ -43,3 +64,160 @@ class RunPlan:
                 f"{names.count(repeated[0])} of the clips are called '{repeated[0]}', and results "
                 "are keyed by clip name. Change `name` in clip.toml, or use two results folders"
             )
+
+
+@dataclass(frozen=True)
+class Cell:
+    """One method on one clip at one budget with one seed, with what decides its images."""
+
+    key: CellKey  # row name, clip, budget, seed and device
+    clip: StoredSource
+    method: str  # family or family/variant
+    variant: Variant
+    bf16: bool  # do its networks run in bfloat16?
+    backend: str  # that runs its networks
+    skip_tiles: bool  # are unchanged tiles kept from the last image?
+    weights_file: Path | None  # None for random weights, and without networks
+    training_clips: frozenset[str]  # names of the clips that the weights were trained on
+
+    @property
+    def traits(self) -> Traits:
+        """The method's traits."""
+        return self.variant.traits
+
+    @property
+    def header(self) -> Header:
+        """The clip's header."""
+        return self.clip.header
+
+    @property
+    def spp(self) -> float:
+        """The budget, samples per pixel."""
+        return self.key.target_spp
+
+    @property
+    def pool_spp(self) -> int:
+        """Samples that one pixel can have."""
+        return self.clip.pool_spp(self.spp)
+
+    @property
+    def is_trained_on_clip(self) -> bool:
+        """Were the method's weights trained on this clip, according to their card?"""
+        return self.header.name in self.training_clips
+
+    @property
+    def incompatibility(self) -> str | None:
+        """Why the method cannot run on the clip, as far as header and traits say, or None."""
+        return incompatibility(self.header, self.traits, self.spp, self.pool_spp)
+
+
+def list_cells(plan: RunPlan) -> list[Cell]:
+    """Every cell of a plan, clip by clip. Raises PluginError for an unknown method."""
+    device, is_short = device_name(plan.device), bool(plan.limit_frames)
+    variants = {name: registry.get_variant(name) for name in plan.methods}
+    files = {name: weights_file(plan, name) for name in plan.methods}
+    rows = {name: row_name(plan, name) for name in plan.methods}
+    trained_on = {name: training_clips(file) for name, file in files.items()}
+    return [
+        Cell(
+            key=CellKey(
+                rows[name], clip.header.name, spp, seed, device, clip.header.preset, is_short
+            ),
+            clip=clip,
+            method=name,
+            variant=variants[name],
+            bf16=plan.bf16 and variants[name].learned,
+            backend=plan.backend if variants[name].learned else EAGER,
+            skip_tiles=_skips_tiles(plan, variants[name]),
+            weights_file=files[name],
+            training_clips=trained_on[name],
+        )
+        for clip, name, spp, seed in product(
+            plan.clips, plan.methods, map(float, plan.spp), plan.seeds
+        )
+    ]
+
+
+def row_name(plan: RunPlan, name: str) -> str:
+    """Name of a method's rows, labelled by what differs from the method as shipped.
+
+    That is the backend, bfloat16, skipped tiles, and other weights. Weights without a label are
+    labelled by their file, if the method also has shipped weights.
+    """
+    variant = registry.get_variant(name)
+    parts = [TILES if _skips_tiles(plan, variant) else ""]
+    if variant.learned:
+        label = plan.weights_label
+        if plan.weights and not label and _shipped_weights(name).is_file():
+            label = _label_of_file(plan.weights)
+        backend = "" if plan.backend == EAGER else plan.backend
+        label = CROSSVAL if plan.held_out_scene else label
+        parts = [backend, BF16 if plan.bf16 else "", *parts, label]
+    return str(replace(RowName.parse(name), label="-".join(filter(None, parts))))
+
+
+def weights_file(plan: RunPlan, name: str) -> Path | None:
+    """Path of a method's weights, which may not exist; None for random ones, or no networks."""
+    if not registry.get_variant(name).learned or plan.weights == "random":
+        return None
+    return Path(plan.weights) if plan.weights else _shipped_weights(name)
+
+
+@dataclass(frozen=True)
+class CellLoader:
+    """Loads cells: each method is built once for all of them, and a clip is opened for each."""
+
+    plan: RunPlan
+    _methods: dict[str, Method | Exception] = field(default_factory=dict, repr=False, compare=False)
+
+    def method(self, cell: Cell) -> Method:
+        """The cell's method. Raises what building it raised, the first time and every time."""
+        if cell.method not in self._methods:
+            _logger.info("%s: built with weights %s", cell.method, cell.weights_file or "none")
+            try:
+                self._methods[cell.method] = self._build(cell)
+            except Exception as error:  # missing weights or packages: a reason for each cell
+                self._methods[cell.method] = error
+        method = self._methods[cell.method]
+        if isinstance(method, Exception):
+            raise method
+        return method
+
+    def clip(self, cell: Cell, scored_buffers: frozenset[str] = frozenset()) -> Clip:
+        """The cell's clip, with the frames of the plan and the data that the method can use.
+
+        `scored_buffers` are read too, where the clip has them: for metrics, as a method receives
+        only the buffers that it declares.
+        """
+        inputs = cell.traits.inputs | (scored_buffers & set(cell.header.buffers))
+        traits = replace(cell.traits, inputs=inputs)
+        clip = cell.clip.open(traits, cell.spp, cell.key.seed, self.plan.device)
+        return FirstFrames(clip, self.plan.limit_frames) if self.plan.limit_frames else clip
+
+    def _build(self, cell: Cell) -> Method:
+        device = self.plan.device
+        loaded = registry.load_method(cell.method, device, self.plan.weights)
+        method: Method = CheckedReturns(loaded)
+        use_backend(method, cell.backend, device, cell.bf16)
+        if cell.bf16:
+            require_native_bf16(device)  # also on the workers of an executor
+            method = HalfPrecision(method, device)
+        return SkipTiles(method) if cell.skip_tiles else method
+
+
+def _skips_tiles(plan: RunPlan, variant: Variant) -> bool:
+    return plan.skip_tiles and variant.traits.receptive_field is not None
+
+
+def _label_of_file(file: str) -> str:
+    """The label of weights without one: the file's name, but never a reserved label."""
+    label = re.sub(r"[^\w+-]", "-", Path(file).stem, flags=re.ASCII)
+    return f"weights-{label}" if label.partition("-")[0] in RESERVED_LABELS else label
+
+
+def _shipped_weights(name: str) -> Path:
+    """Path of the weights that a method ships with; the file may not exist."""
+    try:
+        return registry.shipped_weights(name)
+    except LookupError:  # building the method reports the missing module
+        return Path("missing")

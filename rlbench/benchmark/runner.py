@@ -13,41 +13,65 @@ cell counts as missing.
 from __future__ import annotations
 
 import logging
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
-from rlbench.benchmark import results
-from rlbench.benchmark.cell_ids import CellIds
-from rlbench.benchmark.cell_key import CellsError, check_no_overwrite
-from rlbench.benchmark.cell_runner import CellOutput, CellRunner
-from rlbench.benchmark.cell_store import CellStore
+import torch
+
+from rlbench import registry
+from rlbench.benchmark import cell_images, cost, latency, results
+from rlbench.benchmark.cell_images import CellImages, KeptFrame
+from rlbench.benchmark.cell_key import (
+    CellId,
+    CellKey,
+    CellsError,
+    by_slot,
+    check_no_overwrite,
+    superseded_cells,
+)
+from rlbench.benchmark.clip_sources import samples_at_cap
+from rlbench.benchmark.content_hash import CellIds
 from rlbench.benchmark.looks import record_looks
-from rlbench.benchmark.preflight import check_times_alone
-from rlbench.benchmark.resolve import ResolvedCell, resolve_cells
-from rlbench.benchmark.results import CellId, CellKey
-from rlbench.benchmark.run_plan import RunPlan
-from rlbench.benchmark.timing_cache import TimingCallback
-from rlbench.parallel.executor import LOCAL, Executor
+from rlbench.benchmark.results import WHOLE_CLIP, Row
+from rlbench.benchmark.run_plan import Cell, CellLoader, RunPlan, list_cells
+from rlbench.benchmark.scoring import (
+    GroundTruthCache,
+    add_counts,
+    buffers_of_truth,
+    count_rows,
+    refusal_row,
+    row_template,
+    score_frames,
+)
+from rlbench.benchmark.timing import (
+    TimingCache,
+    TimingCallback,
+    drop_times,
+    failed_time_rows,
+    timing_rows,
+)
+from rlbench.errors import OptionError
+from rlbench.method import config_json
+from rlbench.parallel.executor import LOCAL, Executor, JobResult, ProgressCallback, Resources
+from rlbench.run import run_clip
 from rlbench.system.folder_lock import locked_folder
 from rlbench.system.paths import WriteError
+from rlbench.system.process_settings import keep_freed_memory
+from rlbench.training.dataset import QUICK_PREFIX, QUICK_REMARK
 
 if TYPE_CHECKING:
     import pandas as pd
 
-__all__ = ["CellCallback", "ProgressCallbacks", "RunSummary", "measure", "read_cells"]
+__all__ = ["ProgressCallbacks", "RunSummary", "check_times_alone", "measure", "read_cells"]
 
-CellCallback = Callable[[ResolvedCell], None]
+CellCallback = Callable[[Cell], None]
 
 _logger = logging.getLogger(__name__)
 
 
-def _ignore(cell: ResolvedCell) -> None:
-    pass
-
-
-def _ignore_timing(done: int, total: int) -> None:
+def _ignore(*arguments: object) -> None:
     pass
 
 
@@ -55,7 +79,7 @@ class ProgressCallbacks(NamedTuple):
     """Callbacks that show how far a run is."""
 
     on_cell: CellCallback = _ignore  # called with each finished cell
-    on_timing: TimingCallback = _ignore_timing  # called with the number of timed rows, and of all
+    on_timing: TimingCallback = _ignore  # called with the number of timed rows, and of all
 
 
 @dataclass(frozen=True)
@@ -83,7 +107,7 @@ def measure(
     folder: Path,
     on_cell: CellCallback = _ignore,
     executor: Executor = LOCAL,
-    on_timing: TimingCallback = _ignore_timing,
+    on_timing: TimingCallback = _ignore,
     *,
     retime: bool = False,
     scores_only: bool = False,
@@ -109,86 +133,89 @@ def measure(
     if retime:
         check_times_alone(scores_only, keep_images)
     plan.check_unique_names()
-    cells, ids = resolve_cells(plan), CellIds(plan)
-    runner = CellRunner(plan, cells, ids, keep_images=keep_images, scores_only=scores_only)
+    runner = CellRunner(plan, keep_images=keep_images, scores_only=scores_only)
     with locked_folder(folder):
-        return _measure(
-            cells, ids, runner, folder, ProgressCallbacks(on_cell, on_timing), executor, retime
-        )
+        return _measure(runner, CellStore(folder), on_cell, executor, on_timing, retime)
 
 
 def _measure(
-    cells: Sequence[ResolvedCell],
-    ids: CellIds,
     runner: CellRunner,
-    folder: Path,
-    progress: ProgressCallbacks,
+    store: CellStore,
+    on_cell: CellCallback,
     executor: Executor,
+    on_timing: TimingCallback,
     retime: bool,
 ) -> RunSummary:
     """`measure` in a folder that no other process writes to."""
-    store, scores_only = CellStore(folder), runner.scores_only
-    cell_ids = {cell.key: store.identify(ids.cell_id(cell), scores_only) for cell in cells}
-    for cell_id in cell_ids.values():
+    ids = {key: store.identify(each, runner.scores_only) for key, each in runner.ids.items()}
+    for cell_id in ids.values():
         check_no_overwrite(cell_id, store.slots)
-    stored = {key: store.rows(each, runner.keep_images) for key, each in cell_ids.items()}
+    stored = {key: store.rows(each, runner.keep_images) for key, each in ids.items()}
     known = {key: rows for key, rows in stored.items() if rows is not None}
-    unscored = [cell for cell in cells if cell.key not in known]
-    current = {key for key in known if cell_ids[key] in store.cells and not retime}
-    due = [cell for cell in cells if cell.key not in current and not (retime and cell in unscored)]
+    unscored = [cell for cell in runner.cells if cell.key not in known]
+    current = {key for key in known if ids[key] in store.cells and not retime}
+    due = [cell for cell in runner.cells if cell.key not in current]
+    due = [cell for cell in due if not (retime and cell in unscored)]
     if retime and not due:
         raise CellsError(
-            f"no cell of this run is in {folder} with the scores of today's code, weights and "
-            "clips, so there is no time to measure again. Run without --retime"
+            f"no cell of this run is in {store.folder} with the scores of today's code, weights "
+            "and clips, so there is no time to measure again. Run without --retime"
         )
     summary = RunSummary(set_aside=store.set_aside, unscored=len(unscored) if retime else 0)
-    for cell in cells:
+    for cell in runner.cells:
         if cell.key in current:
-            replaced = store.drop_superseded(cell_ids[cell.key])
-            summary += RunSummary(cached=1, replaced=replaced)
+            summary += RunSummary(cached=1, replaced=store.drop_superseded(ids[cell.key]))
             _logger.info("%s: in the results already", cell.key)
-            progress.on_cell(cell)
-    record_looks(folder, [cell for cell in due if cell.key not in known], ids.code_hashes)
-    for outcome in runner.run(due, executor, progress.on_timing, known):
+            on_cell(cell)
+    record_looks(
+        store.folder,
+        [(each.key, runner.templates[each.key].code_hash) for each in due if each in unscored],
+    )
+    for outcome in runner.run(due, executor, on_timing, known):
         if isinstance(outcome.error, WriteError):  # a full disk fails every cell after this one
             raise outcome.error
-        cell_id, error = cell_ids[outcome.job.key], outcome.error
-        output = runner.failure(outcome.job, error) if error else outcome.result()
-        counts = _count_cell(cell_id, output, is_timed=cell_id.key in known)
-        _log_cell(outcome.job, counts, output)
-        if error and store.find(cell_id):  # only the images of these scores are missing
-            _logger.warning("%s: no images, its scores stay: %s", cell_id.key, output.failure)
-            summary += counts
-        else:
-            written = _written_id(cell_id, output, is_stopped=error is not None)
-            times = store.time_rows(cell_id) if scores_only else []
-            replaced = store.write(written, output.rows + times, output.images)
-            summary += replace(counts, replaced=replaced)
-        progress.on_cell(outcome.job)
+        summary += _store(outcome, ids[outcome.job.key], runner, store, outcome.job.key in known)
+        on_cell(outcome.job)
     return summary
 
 
-def _written_id(cell: CellId, output: CellOutput, is_stopped: bool) -> CellId:
-    """The identity of what a run found; the next run finds no such scores, or no such times."""
-    if is_stopped:
-        return cell.failed
-    return cell.untimed if output.failure else cell
-
-
-def _log_cell(cell: ResolvedCell, counts: RunSummary, output: CellOutput) -> None:
-    what = next(
-        name for name in ("failed", "skipped", "timed", "measured") if getattr(counts, name)
-    )
+def _store(
+    outcome: JobResult[Cell, CellOutput],
+    cell: CellId,
+    runner: CellRunner,
+    store: CellStore,
+    has_scores: bool,
+) -> RunSummary:
+    """Write what a run found of a cell; where an error stopped it, the next run tries it again."""
+    error = outcome.error
+    output = runner.failure(outcome.job, error) if error else outcome.result()
+    if output.failure:
+        what, counts = "failed", RunSummary(failed=1, failures=(cell.key,))
+    elif len(output.rows) == 1:
+        what, counts = "skipped", RunSummary(skipped=1)
+    elif has_scores:
+        what, counts = "timed", RunSummary(timed=1)
+    else:
+        what, counts = "measured", RunSummary(measured=1)
     reason = output.failure or (output.rows[0].note if counts.skipped else "")
     _logger.info("%s: %s%s", cell.key, what, reason and f": {reason}")
+    if error and store.find(cell):  # only the images of these scores are missing
+        _logger.warning("%s: no images, its scores stay: %s", cell.key, output.failure)
+        return counts
+    times = store.time_rows(cell) if runner.scores_only else []
+    written = cell.failed if error else cell.untimed if output.failure else cell
+    replaced = store.write(written, output.rows + times, output.images)
+    return replace(counts, replaced=replaced)
 
 
-def _count_cell(cell: CellId, output: CellOutput, is_timed: bool) -> RunSummary:
-    if output.failure:
-        return RunSummary(failed=1, failures=(cell.key,))
-    if len(output.rows) == 1:
-        return RunSummary(skipped=1)
-    return RunSummary(timed=1) if is_timed else RunSummary(measured=1)
+def check_times_alone(scores_only: bool, keep_images: bool) -> None:
+    """Raise OptionError for options that contradict `--retime`."""
+    if scores_only:
+        raise OptionError("--retime measures times alone, --scores-only scores alone. Omit one")
+    if keep_images:
+        raise OptionError(
+            "--retime measures times alone, so it makes no images. Use --keep-images without it"
+        )
 
 
 def read_cells(plan: RunPlan, folder: Path) -> pd.DataFrame:
@@ -198,6 +225,200 @@ def read_cells(plan: RunPlan, folder: Path) -> pd.DataFrame:
     """
     table = results.read(folder)
     columns = ["method", "clip", "target_spp", "seed", "device"]
-    keys = {tuple(getattr(cell.key, name) for name in columns) for cell in resolve_cells(plan)}
+    keys = {tuple(getattr(cell.key, name) for name in columns) for cell in list_cells(plan)}
     is_planned = [row in keys for row in table[columns].itertuples(index=False, name=None)]
     return table[is_planned].reset_index(drop=True)
+
+
+StoredRows = Mapping[CellKey, Sequence[Row]]  # of cells that keep their scores
+
+
+class CellOutput(NamedTuple):
+    """All rows of a cell, and its images where they are kept."""
+
+    rows: list[Row]
+    images: CellImages | None = None
+    failure: str = ""  # the reason, where an error left the cell without scores or times
+
+
+class CellRunner:
+    """Scores and times the cells of one plan; every worker has a copy."""
+
+    def __init__(self, plan: RunPlan, *, keep_images: bool, scores_only: bool) -> None:
+        """List the cells with their identities, load the metrics and prepare a row of each cell."""
+        self.plan = plan
+        self.keep_images = keep_images
+        self.scores_only = scores_only
+        hashes = CellIds(plan)
+        self.cells = list_cells(plan)
+        self.ids = {cell.key: hashes.cell_id(cell) for cell in self.cells}
+        self.templates = {
+            cell.key: row_template(
+                cell,
+                hashes.run_id,
+                hashes.code_hashes[cell.method],
+                hashes.weights_hashes[cell.method],
+            )
+            for cell in self.cells
+        }
+        self.metrics = list(registry.load_run_metrics().values())
+        self.truths = GroundTruthCache(self.metrics[0])
+        self.loader = CellLoader(plan)
+        profile = None if plan.cost == cost.MEASURED else cost.profile(plan.cost)
+        self.timings = TimingCache(self.loader, profile)
+
+    def run(
+        self,
+        cells: list[Cell],
+        executor: Executor,
+        on_timing: TimingCallback,
+        stored: StoredRows,
+    ) -> Iterator[JobResult[Cell, CellOutput]]:
+        """The rows of each cell as it is done, or the error that stopped it.
+
+        Cells that have `stored` rows keep their scores and get new times.
+        """
+        if not cells:
+            return
+        gpus = 1 if self.plan.device.type == "cuda" else 0
+        resources = Resources(torch.get_num_threads(), gpus)
+        timed = [] if self.scores_only else cells
+        errors = {
+            cell.key: error
+            for cell, error in self.timings.measure_all(timed, executor, resources, on_timing)
+        }
+        unscored = []
+        for cell in cells:
+            error = errors.get(cell.key)
+            if cell.key in stored:
+                yield JobResult(cell, self._with_new_times(cell, stored[cell.key], error))
+            elif error:
+                yield JobResult(cell, error=error)
+            else:
+                unscored.append(cell)
+        yield from executor.map(self, unscored, resources)
+
+    def __call__(self, cell: Cell, on_progress: ProgressCallback) -> CellOutput:
+        """Scores of each frame, then times; or one row with the reason why there are none."""
+        keep_freed_memory()
+        if reason := cell.incompatibility:
+            return CellOutput([refusal_row(self.templates[cell.key], reason)])
+        method = self.loader.method(cell)
+        clip = self.truths.open(self.loader.clip(cell, buffers_of_truth(self.metrics)))
+        template = replace(self.templates[cell.key], config=config_json(method))
+        remarks, rows, frames = self._remarks(cell), [], []
+        max_samples = samples_at_cap(cell.traits, cell.pool_spp)
+        pixels = torch.zeros(max_samples + 1, dtype=torch.long)
+        results = run_clip(method, clip, cell.spp)
+        for result, scored in score_frames(
+            template, self.metrics, results, cell.header, clip.ground_truth, max_samples
+        ):
+            rows += [replace(row, note=row.note or remarks) for row in scored]
+            pixels = add_counts(pixels, result.samples.counts)
+            frames += [KeptFrame.of(result)] if self.keep_images else []
+        rows += count_rows(template, pixels)
+        images = CellImages(cell.traits.pool, clip.digest, max_samples, frames)
+        times = self._time_rows(cell, template, rows)
+        return CellOutput(rows + times, images if self.keep_images else None)
+
+    def failure(self, cell: Cell, error: Exception) -> CellOutput:
+        """The output of a cell that an error stopped: one row with the reason."""
+        reason = registry.failure_reason(cell.method, error)
+        return CellOutput([refusal_row(self.templates[cell.key], reason)], failure=reason)
+
+    def _with_new_times(
+        self, cell: Cell, rows: Sequence[Row], error: Exception | None
+    ) -> CellOutput:
+        """The stored scores of a cell with new times, or with the reason why it has none."""
+        if cell.incompatibility:
+            return CellOutput(list(rows))
+        scores = drop_times(rows)
+        template = replace(self.templates[cell.key], config=scores[0].config)
+        if error:
+            reason = registry.failure_reason(cell.method, error)
+            return CellOutput(scores + failed_time_rows(template, reason), failure=reason)
+        return CellOutput(scores + self._time_rows(cell, template, scores))
+
+    def _time_rows(self, cell: Cell, template: Row, scores: Sequence[Row]) -> list[Row]:
+        if self.scores_only:
+            return []
+        mean_spp = sum(row.mean_spp for row in scores) / len(scores)
+        times, row = self.timings, replace(template, mean_spp=mean_spp)
+        published = times.published_inference(cell)
+        return timing_rows(row, times.timing(cell), times.cost(cell), published)
+
+    def _remarks(self, cell: Cell) -> str:
+        """What to know of all scores of a cell; empty for an ordinary test."""
+        remarks = []
+        if cell.is_trained_on_clip:
+            remarks.append(f"no test: its weights were trained on {cell.header.name}")
+        if any(name.startswith(QUICK_PREFIX) for name in cell.training_clips):
+            remarks.append(QUICK_REMARK)
+        here = latency.device_name(self.plan.device)
+        if here != cell.key.device:  # this worker is another machine than the rows name
+            remarks.append(f"scored on {here}")
+        return "; ".join(remarks)
+
+
+class CellStore:
+    """The cells and images that a results folder held when the run began."""
+
+    def __init__(self, folder: Path) -> None:
+        """List the cells of `folder`; damaged row files are set aside."""
+        self.folder = folder
+        self.set_aside = tuple(results.set_aside_damaged(folder))
+        self.cells = results.cells(folder)
+        self.slots = by_slot(self.cells)
+        self._image_slots = by_slot(images.cell for images in cell_images.list_images(folder))
+
+    def find(self, cell: CellId) -> CellId | None:
+        """The stored cell with the same scores, whatever its times, or None."""
+        stored = self.slots.get(cell.key.slot, ())
+        return next((each for each in stored if each.has_scores_of(cell)), None)
+
+    def identify(self, cell: CellId, scores_only: bool) -> CellId:
+        """The identity under which a run looks for a cell and writes it.
+
+        With `scores_only` that of the stored cell with the same scores, so that its times stay.
+        """
+        return self.find(cell) or cell.untimed if scores_only else cell
+
+    def rows(self, cell: CellId, with_images: bool = False) -> list[Row] | None:
+        """The stored rows of a cell with the same scores, or None.
+
+        None `with_images` if there are scores of frames, but not all their images.
+        """
+        if (stored := self.find(cell)) is None:
+            return None
+        rows = results.read_cell_rows(self.folder, stored)
+        return None if with_images and self._lacks_images(cell, rows) else rows
+
+    def time_rows(self, cell: CellId) -> list[Row]:
+        """The times of the stored cell with the same scores; empty where there are none."""
+        rows = self.rows(cell) or []
+        scores = set(drop_times(rows))
+        return [row for row in rows if row not in scores]
+
+    def write(self, cell: CellId, rows: Sequence[Row], images: CellImages | None) -> int:
+        """Write a finished cell, images first; returns how many older versions it replaced."""
+        if images:
+            cell_images.write_images(self.folder, cell, images)
+        results.write_cell(self.folder, cell, rows)
+        return self.drop_superseded(cell)
+
+    def drop_superseded(self, cell: CellId) -> int:
+        """Remove the older versions of a cell; a kill may have left one beside its successor.
+
+        Images of older content are removed too, those of the same scores are kept.
+        """
+        superseded = superseded_cells(cell, self.slots)
+        for older in superseded:
+            results.drop_cell(self.folder, older)
+        for older in superseded_cells(cell, self._image_slots):
+            if not older.has_scores_of(cell):
+                cell_images.drop_images(self.folder, older)
+        return len(superseded)
+
+    def _lacks_images(self, cell: CellId, rows: list[Row]) -> bool:
+        is_scored = any(row.frame != WHOLE_CLIP for row in rows)
+        return is_scored and cell_images.find_images(self.folder, cell) is None

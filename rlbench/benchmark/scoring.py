@@ -1,58 +1,129 @@
-"""Rows of the results table from images; `time_rows` adds those of times."""
+"""Rows of scores from images, and the ground truth that cells of a clip share.
+
+`timing` adds the rows of times.
+"""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, field, replace
+from functools import partial
 from typing import Any
 
 import torch
 from torch import Tensor
 
 from rlbench import registry
-from rlbench.benchmark.resolve import ResolvedCell
 from rlbench.benchmark.results import COUNT_PREFIX, EVENT_PREFIX, NOISE_CEILING, WHOLE_CLIP, Row
+from rlbench.benchmark.run_plan import Cell
 from rlbench.clips.header import LIMITATIONS, Header
-from rlbench.frames import Frame
+from rlbench.clips.in_memory import ClipWrapper
+from rlbench.frames import Clip, Frame
+from rlbench.ops.sanitize import sanitize_motion
 from rlbench.run import FrameResult
-from rlbench.sanitize import Repairs
 from rlbench.wrappers import TileMemory
 
 __all__ = [
+    "GroundTruthCache",
     "add_counts",
+    "buffers_of_truth",
     "compare_frame",
     "count_rows",
+    "make_ground_truth",
     "refusal_row",
     "row_template",
     "score_clip",
     "score_frame",
     "score_frames",
+    "with_value",
 ]
 
+MAX_PIXELS = 2**21  # of all frames of a clip that is kept: about 0.3 GB
 EVENTS = {"cut": "another shot begins", "light": "lights change"}
-
 COUNTED = "share of the pixels of all frames, pilot samples included"
 CEILING = "the clip's header: PSNR of the noise-free image against the reference"
+REPAIRED = "invalid pixels and samples, replaced before the method read them"
 SKIPPED = "share of pixels kept from the last image, in tiles that did not change"
 
 
-def row_template(cell: ResolvedCell, run_id: str, code_hash: str, weights_hash: str) -> Row:
+def buffers_of_truth(metrics: Iterable[Any]) -> frozenset[str]:
+    """The buffers that the ground truth holds for these `metrics.metric.Metric`."""
+    return frozenset({"motion"}).intersection(name for each in metrics for name in each.needs)
+
+
+def make_ground_truth(metric: Any, frame: Frame) -> Any:
+    """The `metrics.ground_truth.GroundTruth` of a frame, by any `metrics.metric.Metric`."""
+    buffers, static = frame.gbuffer.buffers, frame.gbuffer.static
+    has_motion = "motion" in buffers and not static
+    motion = sanitize_motion(buffers["motion"]).clone() if has_motion else None
+    reference = frame.reference
+    return metric.ground_truth_type(reference.half_a, reference.half_b, motion, static)
+
+
+@dataclass(frozen=True)
+class ClipWithTruth(ClipWrapper):
+    """A clip whose ground truth is made before a method receives the frame, and may write to it."""
+
+    make: Callable[[Frame], Any]
+    keeps_all: bool  # or else the present frame's alone
+    _by_index: dict[int, Any] = field(repr=False)
+
+    def __iter__(self) -> Iterator[Frame]:
+        """The frames in order."""
+        for frame in self.clip:
+            if not self.keeps_all:
+                self._by_index.clear()
+            if frame.index not in self._by_index:
+                self._by_index[frame.index] = self.make(frame)
+            yield frame
+
+    def ground_truth(self, frame: Frame) -> Any:
+        """The ground truth of the frame that was read last, or of any if it `keeps_all`."""
+        return self._by_index[frame.index]
+
+
+class GroundTruthCache:
+    """The ground truth of one clip at a time, for as long as cells of that clip are scored.
+
+    That of a clip with more than MAX_PIXELS pixels is not kept. A copy, as another process receives
+    it, is empty.
+    """
+
+    def __init__(self, metric: Any) -> None:
+        """`metric` is any `metrics.metric.Metric`."""
+        self._metric, self._digest = metric, ""
+        self._by_index: dict[int, Any] = {}
+
+    def open(self, clip: Clip) -> ClipWithTruth:
+        """A clip with what is known of its ground truth; that of another clip is forgotten."""
+        if clip.digest != self._digest:
+            self._digest, self._by_index = clip.digest, {}
+        make = partial(make_ground_truth, self._metric)
+        is_small = len(clip) * math.prod(clip.size) <= MAX_PIXELS
+        return ClipWithTruth(clip, make, is_small, self._by_index if is_small else {})
+
+    def __reduce__(self) -> tuple[type[GroundTruthCache], tuple[Any]]:
+        """A copy without what is kept."""
+        return GroundTruthCache, (self._metric,)
+
+
+def row_template(cell: Cell, run_id: str, code_hash: str, weights_hash: str) -> Row:
     """A row of this cell, without a number."""
     return Row(
         run_id=run_id,
-        method=cell.method.row_name,
+        method=cell.key.method,
         clip=cell.header.name,
         scene=cell.header.scene,
-        target_spp=cell.target_spp,
+        target_spp=cell.spp,
         mean_spp=math.nan,
         frame=WHOLE_CLIP,
         metric="",
         value=math.nan,
-        seed=cell.seed,
+        seed=cell.key.seed,
         preset=cell.header.preset,
         device=cell.key.device,
-        dtype="bfloat16" if cell.method.bf16 else "float32",
+        dtype="bfloat16" if cell.bf16 else "float32",
         code_hash=code_hash,
         weights_hash=weights_hash,
         size=f"{cell.header.width}x{cell.header.height}",
@@ -123,11 +194,7 @@ def score_frame(
         if math.isnan(score) and not note:
             note = f"the value is nan: {metric.convention}"
         yield _score_row(frame, metric, score, note)
-    yield from _event_rows(frame, header)
-    yield from _ceiling_rows(frame, header)
-    yield from _repair_rows(frame, result.repairs)
-    if isinstance(result.state, TileMemory):
-        yield _with_value(frame, "tiles_skipped", result.state.skipped, SKIPPED)
+    yield from _fact_rows(frame, header, result)
 
 
 def add_counts(pixels: Tensor, counts: Tensor) -> Tensor:
@@ -150,7 +217,7 @@ def count_rows(template: Row, pixels: Tensor) -> list[Row]:
     mean_spp = sum(spp * count for spp, count in counted) / total
     row = replace(template, mean_spp=mean_spp, frame=WHOLE_CLIP, unit="%")
     return [
-        _with_value(row, f"{COUNT_PREFIX}{spp}", 100 * count / total, COUNTED)
+        with_value(row, f"{COUNT_PREFIX}{spp}", 100 * count / total, COUNTED)
         for spp, count in counted
     ]
 
@@ -172,53 +239,33 @@ def _missing_input(metric: Any, comparison: Any, header: Header) -> str:
     return f"the clip has no {' and no '.join(lacks)}, which the metric reads" if lacks else ""
 
 
-def _event_rows(frame: Row, header: Header) -> Iterator[Row]:
-    """A row for each event with which the frame begins, from the clip's header."""
+def _fact_rows(frame: Row, header: Header, result: FrameResult) -> Iterator[Row]:
+    """What the clip's header says of a frame, and what was repaired or skipped in it."""
     events = {"cut": header.cuts, "light": header.light_changes}
     for event, frames in events.items():
         if frame.frame in frames:
             convention = f"the clip's header: {EVENTS[event]}"
-            yield _with_value(frame, f"{EVENT_PREFIX}{event}", 1.0, convention)
-
-
-def _ceiling_rows(frame: Row, header: Header) -> Iterator[Row]:
-    """A row with the noise ceiling of the frame's reference, where the clip's header has it."""
+            yield with_value(frame, f"{EVENT_PREFIX}{event}", 1.0, convention)
     if ceilings := header.noise_ceiling_db:
         row = replace(frame, unit="dB")
-        yield _with_value(row, NOISE_CEILING, ceilings[frame.frame], CEILING)
-
-
-def _repair_rows(frame: Row, repairs: Repairs) -> Iterator[Row]:
-    """A row with the number of invalid pixels and samples that were replaced, if there were any."""
-    if repairs:
+        yield with_value(row, NOISE_CEILING, ceilings[frame.frame], CEILING)
+    if repairs := result.repairs:
         kinds = ", ".join(f"{name} {count}" for name, count in sorted(repairs.items()))
-        convention = f"invalid pixels and samples, replaced before the method read them: {kinds}"
-        yield _with_value(frame, "repaired", float(sum(repairs.values())), convention)
+        yield with_value(frame, "repaired", float(sum(repairs.values())), f"{REPAIRED}: {kinds}")
+    if isinstance(result.state, TileMemory):
+        yield with_value(frame, "tiles_skipped", result.state.skipped, SKIPPED)
 
 
 def _score_row(row: Row, metric: Any, score: float, note: str) -> Row:
-    """The row with the score of a metric."""
-    value, note = _check_finite(score, note)
-    return replace(
-        row,
-        metric=metric.name,
-        value=value,
-        unit=metric.unit,
-        direction=metric.direction,
-        convention=metric.convention,
-        note=note,
-    )
+    row = replace(row, unit=metric.unit, direction=metric.direction)
+    return with_value(row, metric.name, score, metric.convention, note)
 
 
-def _with_value(row: Row, metric: str, value: float, convention: str) -> Row:
-    """The row with a number that is no score."""
-    value, note = _check_finite(value)
+def with_value(row: Row, metric: str, value: float, convention: str, note: str = "") -> Row:
+    """The row with a number; a value that is not finite becomes nan with a note."""
+    if not math.isfinite(value):
+        value, note = math.nan, note or f"the value is {value}"
     return replace(row, metric=metric, value=value, convention=convention, note=note)
-
-
-def _check_finite(value: float, note: str = "") -> tuple[float, str]:
-    """The value and note of a row; a value that is not finite is nan with a note."""
-    return (value, note) if math.isfinite(value) else (math.nan, note or f"the value is {value}")
 
 
 def _check_image(method: str, image: Any, reference: Tensor) -> None:

@@ -1,24 +1,28 @@
-"""What a page shows of each clip: reference, G-buffer, and the kept images of all methods."""
+"""What a page or a video shows of clips: reference, G-buffer, and the kept images of methods."""
 
 from __future__ import annotations
 
+import math
 from collections.abc import Collection, Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from jaxtyping import Float, Float16
+from jaxtyping import Float, Float16, UInt8
 from numpy import ndarray as Array
 
-from rlbench.benchmark.cell_images import KeptImages
+from rlbench.benchmark.cell_images import KeptCell, KeptImages, find_kept_cells
 from rlbench.benchmark.cell_key import CellKey
 from rlbench.benchmark.clip_sources import StoredSource
-from rlbench.benchmark.evaluation import KeptCell, find_kept_cells
+from rlbench.benchmark.frame_images import LinearImage
 from rlbench.clips.stored import open_clip
 from rlbench.frames import BUFFERS
 
-__all__ = ["ShownClip", "ShownClips", "ShownImages", "find_shown_clips"]
+if TYPE_CHECKING:
+    import pandas as pd
+
+__all__ = ["DisplayClip", "ShownClip", "ShownClips", "display_clips", "find_shown_clips"]
 
 
 @dataclass(frozen=True)
@@ -73,7 +77,7 @@ def find_shown_clips(
     """Each of `clips` with the images that a results folder keeps of these methods and budgets.
 
     Clips without images are left out, and G-buffer channels that are not among `buffers`. Of
-    several seeds or devices the first is shown. Raises EvaluationError where there are no images,
+    several seeds or devices the first is shown. Raises KeptImagesError where there are no images,
     or where a clip has changed since.
     """
     first: dict[CellKey, KeptCell] = {}  # without seed and device
@@ -121,4 +125,57 @@ def _read_images(kept: KeptImages) -> ShownImages:
         key.device,
         np.stack([frame.image for frame in frames]),
         np.stack([frame.counts for frame in frames]),
+    )
+
+
+@dataclass(frozen=True)
+class DisplayImages:
+    """The output of one method on all frames of a clip."""
+
+    name: str  # of the rows
+    frames: UInt8[Array, "t h w 3"]  # clipped sRGB; pixels that are not finite are magenta
+    counts: Float16[Array, "t h w"]  # samples of each pixel
+    psnr: tuple[float, ...]  # dB of each frame; NaN where the results have none
+
+
+@dataclass(frozen=True)
+class DisplayClip:
+    """A clip with the images of some methods at one budget."""
+
+    name: str
+    target_spp: float
+    rows: tuple[DisplayImages, ...]
+    reference: UInt8[Array, "t h w 3"] | None  # clipped sRGB
+
+
+def display_clips(
+    clip: ShownClip,
+    methods: Sequence[str],
+    target_spp: Collection[float],
+    scores: pd.DataFrame,
+    with_reference: bool = False,
+) -> Iterator[DisplayClip]:
+    """The images of `methods`, in their order, at each budget; `scores` are rows of the results.
+
+    All of them must be among the images of `clip`.
+    """
+    reference = _to_display(clip.reference) if with_reference else None
+    by_key = {(each.method, each.target_spp): each for each in clip.images}
+    for spp in target_spp:
+        rows = (_display_images(by_key[method, spp], clip.name, scores) for method in methods)
+        yield DisplayClip(clip.name, spp, tuple(rows), reference)
+
+
+def _display_images(images: ShownImages, clip: str, scores: pd.DataFrame) -> DisplayImages:
+    is_own = (scores["method"] == images.method) & (scores["clip"] == clip)
+    is_own &= (scores["target_spp"] == images.target_spp) & (scores["seed"] == images.seed)
+    is_own &= (scores["device"] == images.device) & (scores["metric"] == "psnr")
+    by_frame = scores[is_own].set_index("frame")["value"].to_dict()
+    psnr = tuple(by_frame.get(frame, math.nan) for frame in range(len(images.frames)))
+    return DisplayImages(images.method, _to_display(images.frames), images.counts, psnr)
+
+
+def _to_display(frames: Float[Array, "t 3 h w"]) -> UInt8[Array, "t h w 3"]:
+    return np.stack(
+        [LinearImage(np.moveaxis(frame.astype(np.float32), 0, -1)).rgb8 for frame in frames]
     )

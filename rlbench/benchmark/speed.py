@@ -7,39 +7,44 @@ machine was busy. Work and memory are counted by PyTorch while it runs one frame
 from __future__ import annotations
 
 import math
+import os
 import statistics
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
-from typing import NamedTuple
+from pathlib import Path
+from typing import Any, NamedTuple
 
 import pandas as pd
 import torch
+from jaxtyping import Float
+from torch import Tensor, nn
+from torch.profiler import ProfilerActivity, profile
+from torch.utils.flop_counter import FlopCounterMode
 
 from rlbench import registry
 from rlbench.backends import EAGER, use_backend
-from rlbench.benchmark.clock.stopwatch import SystemClock
-from rlbench.benchmark.latency import REPEATS, TimedRow, Timing, time_methods
+from rlbench.benchmark.clock import SystemClock
+from rlbench.benchmark.latency import PARTS, REPEATS, TimedRow, Timing, device_name, time_methods
 from rlbench.benchmark.results import UNRELIABLE
-from rlbench.benchmark.work import (
-    SPP,
-    count_multiply_adds,
-    count_parameters,
-    generated_clip,
-    peak_memory,
-    state_bytes,
-)
 from rlbench.checks.returns import CheckedReturns
+from rlbench.checks.tensors import iterate_parts, iterate_tensors
 from rlbench.clips.in_memory import InMemoryClip
-from rlbench.method import Method
+from rlbench.clips.procedural.clip import procedural_clip
+from rlbench.frames import Clip, GBuffer, Samples, Size
+from rlbench.method import Method, State
 from rlbench.parallel.executor import LOCAL, JobResult, ProgressCallback
-from rlbench.wrappers import HalfPrecision
+from rlbench.run import run_clip
+from rlbench.wrappers import HalfPrecision, MethodWrapper
 
 __all__ = [
-    "COLUMNS",
     "Configuration",
+    "count_multiply_adds",
     "failed_rows",
+    "generated_clip",
     "measure_speed",
+    "speed_page",
+    "write_speed",
 ]
 
 PEAK_SIDE, PEAK_RUNS = 2048, 5  # of the matrix product that stands for the machine's peak
@@ -61,6 +66,23 @@ COLUMNS = {
 }
 
 PixelSize = tuple[int, int]  # height, width
+_Counts = dict[str, float]  # columns that need no clock
+SHOWN = {
+    "method": "method",
+    "plan_ms": "plan, ms",
+    "allocate_ms": "allocate",
+    "denoise_ms": "denoise",
+    "inference_ms": "inference",
+    "inference_p95_ms": "p95",
+    "parameters": "thousand parameters",
+    "multiply_adds": "thousand multiply-adds / pixel",
+    "peak_share": "share of peak",
+    "state_bytes": "bytes of state / pixel",
+    "memory_mb": "memory, MiB",
+}
+DECIMALS = {"parameters": 0, "multiply_adds": 1, "state_bytes": 0, "memory_mb": 0, "peak_share": 2}
+FRAMES, SPP = 4, 1.0  # of the generated clip
+COUNTED_SIDE = 96  # pixels, of the frame whose multiply-adds are counted; a multiple of 32
 
 
 @dataclass(frozen=True)
@@ -74,10 +96,8 @@ class Configuration:
     @property
     def row_name(self) -> str:
         """The name as in the results."""
-        label = "-".join(
-            ([self.backend] if self.backend != EAGER else []) + (["bf16"] if self.bf16 else [])
-        )
-        return f"{self.method}@{label}" if label else self.method
+        parts = [self.backend] * (self.backend != EAGER) + ["bf16"] * self.bf16
+        return "@".join(filter(None, (self.method, "-".join(parts))))
 
     def load(self, device: torch.device) -> Method:
         """The method with its shipped weights, or random ones: they change no time."""
@@ -131,39 +151,30 @@ def failed_rows(table: pd.DataFrame) -> dict[str, str]:
     return dict(zip(failed["method"], failed["note"], strict=True))
 
 
-class _Work(NamedTuple):
-    """What the networks of a method hold and compute."""
-
-    parameters: int
-    multiply_adds: float  # per pixel
-
-
 class _Loaded(NamedTuple):
     """A row that can be timed, and its columns that need no clock."""
 
     row: TimedRow
-    counted: dict[str, float]
+    counted: _Counts
 
 
-def _count_work(device: torch.device, name: str, on_progress: ProgressCallback) -> _Work:
+def _count_work(device: torch.device, name: str, on_progress: ProgressCallback) -> _Counts:
+    """Thousands of parameters, and of multiply-adds per pixel."""
     method = Configuration(name).load(device)
-    return _Work(count_parameters(method), count_multiply_adds(method, device))
+    multiply_adds = count_multiply_adds(method, device)
+    return {"parameters": count_parameters(method) / 1e3, "multiply_adds": multiply_adds / 1e3}
 
 
 def _load(
     clip: InMemoryClip,
-    work: Mapping[str, JobResult[str, _Work]],
+    work: Mapping[str, JobResult[str, _Counts]],
     device: torch.device,
     configuration: Configuration,
     on_progress: ProgressCallback,
 ) -> _Loaded:
-    done = work[configuration.method].result()
+    counted = dict(work[configuration.method].result())
     row = TimedRow(configuration.load(device), clip, SPP)
-    counted = {
-        "parameters": done.parameters / 1e3,
-        "multiply_adds": done.multiply_adds / 1e3,
-        "state_bytes": state_bytes(row.method, clip) / (clip.size.h * clip.size.w),
-    }
+    counted["state_bytes"] = state_bytes(row.method, clip) / (clip.size.h * clip.size.w)
     if configuration.backend == EAGER and device.type == "cpu":
         counted["memory_mb"] = peak_memory(row.method, clip) / 2**20
     return _Loaded(row, counted)
@@ -197,10 +208,106 @@ def peak_throughput(device: torch.device, bf16: bool) -> float:
 
 def _times(timing: Timing) -> dict[str, object]:
     return {
-        "plan_ms": timing.plan.mean,
-        "allocate_ms": timing.allocate.mean,
-        "denoise_ms": timing.denoise.mean,
-        "inference_ms": timing.inference.mean,
+        **{f"{name}_ms": getattr(timing, name).mean for name in (*PARTS, "inference")},
         "inference_p95_ms": timing.inference.p95,
         "note": f"{UNRELIABLE} {timing.unreliable}" if timing.unreliable else "",
     }
+
+
+def write_speed(table: pd.DataFrame, device: torch.device, out: Path) -> list[Path]:
+    """Write speed.csv and speed.md into a folder; returns both."""
+    out.mkdir(parents=True, exist_ok=True)
+    rows, page = out / "speed.csv", out / "speed.md"
+    table.to_csv(rows, index=False)
+    page.write_text(speed_page(table, device_name(device)), encoding="utf-8")
+    return [rows, page]
+
+
+def speed_page(table: pd.DataFrame, device: str) -> str:
+    """A Markdown page with one table per size."""
+    legend = "; ".join(f"*{SHOWN[name]}*: {COLUMNS[name]}" for name in list(SHOWN)[1:])
+    parts = [
+        "# Speed of methods",
+        f"One frame at 1 spp, generated, on {device}. {legend}.",
+    ]
+    for (height, width), rows in table.groupby(["height", "width"], sort=False):
+        parts += [f"## {width} x {height}", *_lines(rows)]
+    return "\n\n".join(parts) + "\n"
+
+
+def _lines(rows: pd.DataFrame) -> list[str]:
+    table = [list(SHOWN.values()), ["---", *["---:"] * (len(SHOWN) - 1)]]
+    for _, row in rows.iterrows():
+        numbers = [_format(name, row[name]) for name in list(SHOWN)[1:]]
+        table.append([f"`{row['method']}`{'?' * bool(row['note'])}", *numbers])
+    noted = rows[rows["note"] != ""]
+    notes = [f"? `{row['method']}`: {row['note']}" for _, row in noted.iterrows()]
+    return ["\n".join(f"| {' | '.join(cells)} |" for cells in table), *notes]
+
+
+def _format(name: str, value: float) -> str:
+    return "" if pd.isna(value) else f"{value:.{DECIMALS.get(name, 1)}f}"
+
+
+def generated_clip(size: tuple[int, int], device: torch.device) -> InMemoryClip:
+    """The frames that methods are timed on, of `size` (height, width) pixels."""
+    clip = procedural_clip(3, Size(1, *size), FRAMES, pool_spp=4, device=device)
+    return InMemoryClip(f"{size[1]}x{size[0]}", clip.scene, clip.digest, list(clip))
+
+
+def count_multiply_adds(method: Method, device: torch.device) -> float:
+    """Multiply-adds per pixel of all convolutions and matrix products in a frame with history."""
+    clip = generated_clip((COUNTED_SIDE, COUNTED_SIDE), device)
+    results = run_clip(method, clip, SPP)
+    next(results)
+    with FlopCounterMode(display=False) as counter:
+        next(results)
+    flops: int = counter.get_total_flops()
+    return flops / 2 / COUNTED_SIDE**2
+
+
+def count_parameters(method: Method) -> int:
+    """Parameters of all networks of a method; 0 where a library holds them."""
+    return sum(part.numel() for part in iterate_parts(method) if isinstance(part, nn.Parameter))
+
+
+def state_bytes(method: Method, clip: Clip) -> int:
+    """Bytes of all tensors in the state after two frames."""
+    keeping = _KeepingState(method, [])
+    results = run_clip(keeping, clip, SPP)
+    next(results), next(results)
+    return sum(tensor.numel() * tensor.element_size() for tensor in iterate_tensors(keeping.states))
+
+
+def peak_memory(method: Method, clip: Clip) -> int:
+    """Most bytes that PyTorch had allocated at once during the second frame, less those before."""
+    os.environ.setdefault("KINETO_LOG_LEVEL", "99")  # the profiler's log goes to the error stream
+    results = run_clip(method, clip, SPP)
+    next(results)
+    with profile(activities=[ProfilerActivity.CPU], profile_memory=True) as profiler:
+        next(results)
+    return max(_running_totals(profiler), default=0)
+
+
+@dataclass(frozen=True)
+class _KeepingState(MethodWrapper[Method]):
+    """Keeps the last state, to count its bytes."""
+
+    states: list[object]
+
+    def denoise(
+        self, gbuffer: GBuffer, samples: Samples, state: State
+    ) -> tuple[Float[Tensor, "n 3 h w"], State]:
+        """The wrapped method's image, and the next state."""
+        image, state = super().denoise(gbuffer, samples, state)
+        self.states[:] = [state]
+        return image, state
+
+
+def _running_totals(profiler: profile) -> Iterator[int]:
+    recorded: Any = profiler.profiler  # untyped: each allocation and release, in bytes
+    events = [e for e in recorded.kineto_results.events() if e.name() == "[memory]"]
+    total = 0
+    for event in sorted(events, key=lambda event: event.start_ns()):
+        total += event.nbytes()
+        yield total

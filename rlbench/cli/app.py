@@ -1,44 +1,26 @@
-"""The command line: all commands, in the order of the pipeline."""
+"""The command line: all commands, in groups by task."""
 
 from __future__ import annotations
 
-import platform
-from collections.abc import Callable
 from typing import Annotated
 
 import typer
 
-from rlbench.cli import options
-from rlbench.cli.benchmark import run
-from rlbench.cli.cache import cache
-from rlbench.cli.card import card
-from rlbench.cli.clips import lint, render
-from rlbench.cli.command_group import Command, CommandGroup
-from rlbench.cli.compare import compare
-from rlbench.cli.crossval import crossval
-from rlbench.cli.decide import decide
-from rlbench.cli.download import download, pack
-from rlbench.cli.evaluate import evaluate
-from rlbench.cli.fingerprint import fingerprint
-from rlbench.cli.images import images
-from rlbench.cli.importing import import_
-from rlbench.cli.json_output import ChecksOutput, print_json
-from rlbench.cli.new import new
-from rlbench.cli.plugins import check, list_, load_plugins
-from rlbench.cli.regress import regress
-from rlbench.cli.reports import report
-from rlbench.cli.scenes import scenes
-from rlbench.cli.speed import speed
-from rlbench.cli.stress import stress
-from rlbench.cli.submit import submit
-from rlbench.cli.training import lr_find, replay, train
-from rlbench.cli.user_scene import render_scene
+from rlbench.cli.command import CommandGroup
 from rlbench.cli.verbosity import set_verbosity
-from rlbench.cli.verify import verify
-from rlbench.cli.video import video
-from rlbench.cli.view import view
 
-__all__ = ["app"]
+__all__ = ["COMMANDS", "app"]
+
+CommandGroup.groups = {  # each command is the function of its name in the module of its name
+    "Measure": ("run", "decide", "compare", "report"),
+    "Look": ("view", "images", "video"),
+    "Your own frames and scenes": ("import", "lint", "render", "scenes"),
+    "Your own method": ("new", "check", "stress"),
+    "Training": ("train",),
+    "This machine": ("list", "doctor"),
+    "Further commands": ("speed", "evaluate", "crossval", "regress", "cache"),
+}
+COMMANDS = [name for names in CommandGroup.groups.values() for name in names]
 
 app = typer.Typer(
     cls=CommandGroup,
@@ -81,62 +63,3 @@ def _main(
     ] = False,
 ) -> None:
     set_verbosity(verbose, quiet)
-
-
-def doctor(plugin: options.Plugins = None, as_json: options.Json = False) -> None:
-    """Report what this machine has, lacks, and how to get it.
-
-    Examples:
-
-    \b
-      rlbench doctor
-    """
-    load_plugins(plugin, allow_broken=True)
-    from rich.console import Console
-
-    from rlbench.checks.console import print_results
-    from rlbench.cli.doctor import inspect_machine
-
-    if as_json:
-        output = ChecksOutput()
-        output.add(inspect_machine(), title=platform.node())
-        print_json(output)
-    else:
-        print_results(inspect_machine(), Console())
-
-
-COMMANDS: dict[str, Callable[..., None]] = {
-    "doctor": doctor,
-    "list": list_,
-    "cache": cache,
-    "render": render,
-    "render-scene": render_scene,
-    "download": download,
-    "pack": pack,
-    "scenes": scenes,
-    "import": import_,
-    "lint": lint,
-    "new": new,
-    "check": check,
-    "stress": stress,
-    "speed": speed,
-    "fingerprint": fingerprint,
-    "train": train,
-    "lr-find": lr_find,
-    "replay": replay,
-    "crossval": crossval,
-    "run": run,
-    "evaluate": evaluate,
-    "report": report,
-    "decide": decide,
-    "compare": compare,
-    "images": images,
-    "view": view,
-    "video": video,
-    "regress": regress,
-    "submit": submit,
-    "verify": verify,
-    "card": card,
-}
-for name, command in COMMANDS.items():
-    app.command(name, cls=Command)(command)

@@ -12,8 +12,6 @@ from typing import Any, NewType, TypeVar
 
 import typer
 
-from rlbench.errors import OptionError
-
 __all__ = [
     "Budgets",
     "Crop",
@@ -22,7 +20,6 @@ __all__ = [
     "PixelSizes",
     "Seeds",
     "WeightsChoice",
-    "expand_methods",
     "parse_age",
     "parse_budgets",
     "parse_crop",
@@ -35,9 +32,7 @@ __all__ = [
     "parse_sizes",
     "parse_train_spp",
     "parse_weights",
-    "require_methods",
     "split_names",
-    "trainable_methods",
 ]
 
 T = TypeVar("T")
@@ -79,56 +74,6 @@ def split_names(values: Iterable[str] | None) -> list[str]:
     return [name.strip() for value in values or () for name in value.split(",") if name.strip()]
 
 
-def require_methods(patterns: Iterable[str] | None) -> list[str]:
-    """Names and patterns of methods, as `split_names`. Raises a usage error where there are none.
-
-    >>> require_methods(["ours,ntas"])
-    ['ours', 'ntas']
-    """
-    if names := split_names(patterns):
-        return names
-    raise typer.BadParameter("name methods, for example -m ours,mean; 'rlbench list' has them all")
-
-
-def expand_methods(
-    patterns: Iterable[str] | None, pretrained_only: bool = True, default: str = ""
-) -> tuple[str, ...]:
-    """The methods that the names and patterns select, as in `registry.expand`.
-
-    Without any, `default` is the pattern; a usage error where that is empty. Families that `all`
-    skips because they cannot be imported are reported on the error stream.
-    """
-    from rlbench import registry
-    from rlbench.cli.verbosity import note
-
-    names = split_names(patterns) or require_methods([default])
-    return tuple(registry.expand(names, pretrained_only, note))
-
-
-def trainable_methods(patterns: list[str]) -> list[str]:
-    """The selected methods that can be trained; reports the others.
-
-    Raises OptionError for a method with published weights that is selected by its name, and where
-    no selected method can be trained.
-    """
-    from rlbench import registry
-    from rlbench.cli.verbosity import note
-
-    names = expand_methods(patterns, pretrained_only=False)
-    trainable = [name for name in names if registry.is_trainable(name)]
-    by_name = split_names(patterns)
-    for name in names:
-        reason = registry.untrainable_reason(name)
-        if name in by_name and registry.get_variant(name).trained_by:
-            raise OptionError(f"{name} {reason}")
-        if reason and trainable:
-            note(f"{name} {reason}")
-    if not trainable:
-        reasons = ", ".join(f"{name} {registry.untrainable_reason(name)}" for name in names)
-        raise OptionError(f"nothing to train: {reasons}")
-    return trainable
-
-
 @text_parser
 def parse_budgets(text: str) -> Budgets:
     """Different finite numbers of samples per pixel, at least 0.
@@ -136,10 +81,7 @@ def parse_budgets(text: str) -> Budgets:
     >>> parse_budgets("0.5,1,1.0")
     (0.5, 1.0)
     """
-    try:
-        budgets = Budgets(tuple(dict.fromkeys(float(part) for part in split_names([text]))))
-    except ValueError:
-        budgets = Budgets(())
+    budgets = Budgets(tuple(dict.fromkeys(_number(part) for part in split_names([text]))))
     if not budgets or not all(math.isfinite(spp) and spp >= 0 for spp in budgets):
         raise typer.BadParameter(
             f"'{text}' is no list of budgets. Give samples per pixel, for example 0.5,1,2"
@@ -222,11 +164,7 @@ def parse_crop(text: str) -> Crop:
 @text_parser
 def parse_positive(text: str) -> float:
     """A finite number above 0."""
-    try:
-        number = float(text)
-    except ValueError:
-        number = math.nan
-    if not 0 < number < math.inf:
+    if not 0 < (number := _number(text)) < math.inf:
         raise typer.BadParameter(f"'{text}' is no number above 0")
     return number
 
@@ -234,15 +172,19 @@ def parse_positive(text: str) -> float:
 @text_parser
 def parse_share(text: str) -> float:
     """A number between 0 and 1, both excluded."""
-    try:
-        share = float(text)
-    except ValueError:
-        share = math.nan
-    if not 0 < share < 1:
+    if not 0 < (share := _number(text)) < 1:
         raise typer.BadParameter(
             f"'{text}' is no share. Give a number between 0 and 1, such as 0.5"
         )
     return share
+
+
+def _number(text: str) -> float:
+    """The number that a text is, or nan."""
+    try:
+        return float(text)
+    except ValueError:
+        return math.nan
 
 
 @text_parser
@@ -282,7 +224,7 @@ def parse_definition(text: str) -> Definition:
 @text_parser
 def parse_weights(text: str) -> WeightsChoice:
     """The file and the label of NAME=FILE, FILE or `random`."""
-    from rlbench.benchmark.row_name import RESERVED_LABELS
+    from rlbench.benchmark.results import RESERVED_LABELS
 
     if text == "random":
         return WeightsChoice(text)

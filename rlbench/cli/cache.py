@@ -8,9 +8,10 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 import typer
 
-from rlbench.cli import arguments, options
-from rlbench.cli.completion import complete_names
+from rlbench.cli import options
+from rlbench.cli.arguments import parse_age
 from rlbench.cli.json_output import CacheOutput, print_json
+from rlbench.cli.options import complete_names, flag, option
 from rlbench.errors import OptionError
 
 if TYPE_CHECKING:
@@ -28,23 +29,19 @@ def cache(
     ] = "list",
     older_than: Annotated[
         float | None,
-        typer.Option(
-            "--older-than",
-            parser=arguments.parse_age,
-            metavar="AGE",
-            help="prune what was last used before: 30d, 12h, 2w",
-        ),
+        option(None, "prune what was last used before: 30d, 12h, 2w", value="AGE", parse=parse_age),
     ] = None,
     preset: Annotated[
         str | None,
-        typer.Option(
-            metavar="PRESET",
-            help="prune the clips of this preset",
-            autocompletion=complete_names("presets"),
+        option(
+            None,
+            "prune the clips of this preset",
+            value="PRESET",
+            complete=complete_names("presets"),
         ),
     ] = None,
     dry_run: Annotated[
-        bool, typer.Option("--dry-run", help="say what prune would remove, and remove nothing")
+        bool, flag(None, "--dry-run", "say what prune would remove, and remove nothing")
     ] = False,
     as_json: options.Json = False,
 ) -> None:

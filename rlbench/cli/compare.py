@@ -7,28 +7,19 @@ from typing import Annotated
 
 import typer
 
-from rlbench.cli import arguments, options
-from rlbench.cli.completion import complete_methods
-from rlbench.cli.decide import select_scenes
+from rlbench.cli import options
+from rlbench.cli.arguments import split_names
 from rlbench.cli.json_output import as_json_text
-from rlbench.cli.reports import select_budgets, select_rows
+from rlbench.cli.options import names_of_methods
+from rlbench.cli.selection import read_rows
 
 __all__ = ["compare"]
-
-NAME = "paired"  # of the comparison, among the entry points
 
 
 def compare(
     methods: Annotated[
         list[str] | None,
-        typer.Option(
-            "--methods",
-            "-m",
-            metavar="A,B",
-            help="names of two rows in the results; -m can be left out",
-            autocompletion=complete_methods,
-            rich_help_panel=options.METHODS,
-        ),
+        names_of_methods("names of two rows in the results; -m can be left out", value="A,B"),
     ] = None,
     scenes: options.RowScenes = None,
     spp: options.RowBudgets = None,
@@ -49,18 +40,12 @@ def compare(
       rlbench compare -m ours,oidn/tuned --spp 1,4 --scenes city,hall
       rlbench compare -m ours,ours/A1 --metric relmse --results results/unseen --json
     """
-    from rlbench import registry
-    from rlbench.benchmark.results import read
-
-    names = arguments.split_names(methods)
+    names = split_names(methods)
     if len(names) != 2:
         raise typer.BadParameter(f"name two rows, for example -m ours,oidn; {len(names)} are named")
-    first, second = names
-    rows = select_rows(read(results), names, results)
-    if scene_names := arguments.split_names(scenes):
-        rows = select_scenes(rows, scene_names, results)
-    if spp:
-        rows = select_budgets(rows, spp, results)
-    module = registry.load_or_explain("comparisons", NAME)
-    comparison = module.compare(rows, first, second, metric, device)
-    typer.echo(as_json_text(comparison) if as_json else module.comparison_text(comparison))
+    import reports.compare
+
+    rows = read_rows(results, names, scenes, spp)
+    comparison = reports.compare.compare(rows, *names, metric, device)
+    text = reports.compare.comparison_text
+    typer.echo(as_json_text(comparison) if as_json else text(comparison))

@@ -11,9 +11,8 @@ from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, TextColumn, TimeRemainingColumn
 from rich.table import Table
 
-from rlbench.benchmark.resolve import ResolvedCell, resolve_cells
-from rlbench.benchmark.run_plan import RunPlan
-from rlbench.benchmark.run_table import RunOutcome
+from rlbench.benchmark.run_outcome import RunOutcome
+from rlbench.benchmark.run_plan import Cell, RunPlan, list_cells
 from rlbench.benchmark.runner import ProgressCallbacks
 from rlbench.system.progress import LoggedProgress
 
@@ -36,10 +35,10 @@ SPEED_PERIOD = 600.0  # seconds of progress from which the remaining time is est
 def measuring(plan: RunPlan) -> Iterator[ProgressCallbacks]:
     """A progress bar over the cells of a plan, on the error stream."""
     with _progress_bar() as bar:
-        task = bar.add_task("measuring", total=len(resolve_cells(plan)))
+        task = bar.add_task("measuring", total=len(list_cells(plan)))
 
-        def on_cell(cell: ResolvedCell) -> None:
-            status = f"{cell.method.name} on {cell.header.name}, {cell.target_spp:g} spp"
+        def on_cell(cell: Cell) -> None:
+            status = f"{cell.method} on {cell.header.name}, {cell.spp:g} spp"
             bar.update(task, advance=1, description=status)
 
         def on_timing(done: int, total: int) -> None:

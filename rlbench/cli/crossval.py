@@ -7,9 +7,11 @@ from typing import Annotated
 
 import typer
 
-from rlbench.cli import arguments, options, training_options
-from rlbench.cli.plugins import load_plugins
-from rlbench.cli.training import training_config, training_runs
+from rlbench.cli import options
+from rlbench.cli.arguments import split_names
+from rlbench.cli.methods import expand_methods, load_plugins
+from rlbench.cli.options import folder
+from rlbench.cli.train import training_runs
 
 __all__ = ["crossval"]
 
@@ -20,27 +22,21 @@ def crossval(
     preset: options.Preset = "mini",
     scenes: options.Scenes = None,
     spp: options.Spp = options.DEFAULT_SPP,
+    frames: options.Frames = None,
+    minutes: options.Minutes = None,
+    out: Annotated[Path, folder("folder of one training run per scene, and of results/")] = Path(
+        "crossval"
+    ),
     cost: options.Cost = "measured",
     limit_frames: options.LimitFrames = None,
-    frames: training_options.Frames = training_options.DEFAULT_FRAMES,
-    batch: training_options.Batch = 1,
-    crop: training_options.Crop = training_options.DEFAULT_CROP,
-    train_spp: training_options.TrainSpp = training_options.DEFAULT_SPP,
-    bf16: training_options.Bf16 = False,
-    max_grad_norm: training_options.MaxGradNorm = 1.0,
-    seed: training_options.Seed = 0,
-    minutes: training_options.Minutes = None,
-    allow_config_change: training_options.AllowConfigChange = False,
+    batch: options.Batch = 1,
+    crop: options.Crop = options.DEFAULT_CROP,
+    train_spp: options.TrainSpp = options.DEFAULT_TRAIN_SPP,
+    bf16: options.TrainBf16 = False,
+    max_grad_norm: options.MaxGradNorm = 1.0,
+    seed: options.TrainSeed = 0,
+    allow_config_change: options.AllowConfigChange = False,
     device: options.Device = "auto",
-    out: Annotated[
-        Path,
-        typer.Option(
-            file_okay=False,
-            metavar="FOLDER",
-            help="folder of one training run per scene, and of results/",
-            rich_help_panel=options.OUTPUT,
-        ),
-    ] = Path("crossval"),
 ) -> None:
     """Train on all scenes but one, and score on that one.
 
@@ -56,24 +52,32 @@ def crossval(
       rlbench report all --results crossval/results --out crossval/report
     """
     load_plugins(plugin)
-    names = arguments.expand_methods(methods, default="all")  # before torch
+    names = expand_methods(methods, default="all")  # before torch
     from rlbench.benchmark import crossval as protocol
-    from rlbench.benchmark.api import select_device
-    from rlbench.benchmark.preflight import check_run
+    from rlbench.benchmark.api import check_run, select_device
+    from rlbench.benchmark.run_outcome import read_outcome
     from rlbench.benchmark.run_plan import RunPlan
-    from rlbench.benchmark.run_table import read_outcome
     from rlbench.cli import console
+    from rlbench.training.config import TrainingConfig
 
-    config = training_config(frames, batch, crop, seed, max_grad_norm, bf16, train_spp)
+    config = TrainingConfig(
+        frames or options.DEFAULT_FRAMES,
+        batch,
+        crop,
+        seed=seed,
+        max_grad_norm=max_grad_norm,
+        bf16=bf16,
+        spp=train_spp,
+    )
     runs = training_runs(out, config, device, minutes, allow_config_change)
     runs.check([name for name in map(protocol.variant_to_train, names) if name])
-    check_run(names, spp, out / "results", preset, cost)
-    folds = protocol.folds(preset, arguments.split_names(scenes), names)
+    results = out / "results"
+    check_run(names, spp, results, preset, cost)
+    folds = protocol.folds(preset, split_names(scenes), names)
     clips = tuple(clip for fold in folds for clip in fold.clips)
     plan = RunPlan(
         names, clips, spp, (seed,), select_device(device), cost, limit_frames=limit_frames
     )
-    results = out / "results"
     summary = protocol.crossval(folds, runs, plan, results, typer.echo, console.measuring)
     outcome = read_outcome(plan, summary, results, protocol.row_names(plan))
     console.print_outcome(outcome)

@@ -8,66 +8,63 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from rlbench.cli import arguments, options
+from rlbench.cli import options
+from rlbench.cli.arguments import parse_positive, split_names
 from rlbench.cli.json_output import as_json_text
-from rlbench.cli.plugins import load_plugins
+from rlbench.cli.methods import load_plugins
+from rlbench.cli.options import MEASUREMENT, METHODS, option
+from rlbench.cli.selection import read_rows
 from rlbench.errors import OptionError
 from rlbench.registry.near_names import unknown_name
 
 if TYPE_CHECKING:
     import pandas as pd
 
-__all__ = ["decide", "select_by_inputs", "select_scenes"]
-
-NAME = "frame-time"  # of the decision, among the entry points
+__all__ = ["decide"]
 
 
 def decide(
     sample_ms: Annotated[
         float,
-        typer.Option(
-            "--sample-ms",
-            parser=arguments.parse_positive,
-            metavar="MS",
-            help="your renderer's time for one sample of every pixel",
-            rich_help_panel=options.MEASUREMENT,
+        option(
+            MEASUREMENT,
+            "your renderer's time for one sample of every pixel",
+            value="MS",
+            parse=parse_positive,
         ),
     ],
     frame_ms: Annotated[
         float,
-        typer.Option(
-            "--frame-ms",
-            parser=arguments.parse_positive,
-            metavar="MS",
-            help="the deadline: 16.7 for 60 frames a second",
-            rich_help_panel=options.MEASUREMENT,
+        option(
+            MEASUREMENT,
+            "the deadline: 16.7 for 60 frames a second",
+            value="MS",
+            parse=parse_positive,
         ),
     ],
     methods: options.RowMethods = None,
-    plugin: options.Plugins = None,
+    scenes: options.RowScenes = None,
     needs: Annotated[
         list[str] | None,
-        typer.Option(
-            "--needs",
-            metavar="NAMES",
-            help="consider only methods that need none but these G-buffer channels a,b",
-            rich_help_panel=options.METHODS,
+        option(
+            METHODS,
+            "consider only methods that need none but these G-buffer channels a,b",
+            value="NAMES",
         ),
     ] = None,
-    scenes: options.RowScenes = None,
     metric: options.Metric = "psnr",
+    results: options.Results = Path("results"),
+    as_json: options.Json = False,
+    plugin: options.Plugins = None,
     device: options.RowDevice = "",
     sample_device: Annotated[
         str,
-        typer.Option(
-            "--sample-device",
-            metavar="NAME",
-            help="device of --sample-ms; a warning says if methods were timed on another",
-            rich_help_panel=options.MEASUREMENT,
+        option(
+            MEASUREMENT,
+            "device of --sample-ms; a warning says if methods were timed on another",
+            value="NAME",
         ),
     ] = "",
-    results: options.Results = Path("results"),
-    as_json: options.Json = False,
 ) -> None:
     """Name the method with the least error in a frame time.
 
@@ -82,33 +79,17 @@ def decide(
       rlbench decide --sample-ms 26.3 --frame-ms 100 --results results/gpu --json
     """
     load_plugins(plugin)
-    from rlbench import registry
-    from rlbench.benchmark.results import read
-    from rlbench.cli.reports import select_rows
+    import reports.decide
 
-    rows = read(results)
-    if names := arguments.split_names(methods):
-        rows = select_rows(rows, names, results)
-    if names := arguments.split_names(scenes):
-        rows = select_scenes(rows, names, results)
-    left_out: list[str] = []
+    rows, left_out = read_rows(results, methods, scenes), list[str]()
     if needs is not None:
-        rows, left_out = select_by_inputs(rows, arguments.split_names(needs))
-    module = registry.load_or_explain("decisions", NAME)
-    decision = module.decide(rows, sample_ms, frame_ms, metric, device, left_out)
-    typer.echo(as_json_text(decision) if as_json else module.decision_text(decision, sample_device))
+        rows, left_out = _select_by_inputs(rows, split_names(needs))
+    decision = reports.decide.decide(rows, sample_ms, frame_ms, metric, device, left_out)
+    text = reports.decide.decision_text
+    typer.echo(as_json_text(decision) if as_json else text(decision, sample_device))
 
 
-def select_scenes(rows: pd.DataFrame, names: Collection[str], results: Path) -> pd.DataFrame:
-    """The rows of scenes and clips with these names. Raises OptionError for an unknown name."""
-    available = {*rows["scene"], *rows["clip"]}
-    if unknown := [name for name in names if name not in available]:
-        problem = f"--scenes {','.join(unknown)}: {results} has no rows of it"
-        raise OptionError(unknown_name(problem, unknown[0], sorted(available)))
-    return rows[rows["scene"].isin(names) | rows["clip"].isin(names)]
-
-
-def select_by_inputs(
+def _select_by_inputs(
     rows: pd.DataFrame, channels: Collection[str]
 ) -> tuple[pd.DataFrame, list[str]]:
     """The rows of methods that declare no other input than `channels`, and why others are left out.

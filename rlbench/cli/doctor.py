@@ -1,4 +1,4 @@
-"""The checks of `rlbench doctor`: what is installed on this machine, and what would help."""
+"""The command doctor: what is installed on this machine, and what would help."""
 
 from __future__ import annotations
 
@@ -12,9 +12,10 @@ from pathlib import Path
 
 from rlbench import registry
 from rlbench.checks.result import CheckResult, passed, warning
-from rlbench.clips.header import ClipError
-from rlbench.clips.stored import read_header
-from rlbench.system import bfloat16, paths, provenance
+from rlbench.cli import options
+from rlbench.cli.json_output import ChecksOutput, print_json
+from rlbench.cli.methods import load_plugins
+from rlbench.system import paths, provenance
 
 MIN_FREE_GIB = 2  # of disk space, below which a warning is shown
 EXTRAS = {  # extra: what it adds, and a module of each of its packages
@@ -28,6 +29,27 @@ EXTRAS = {  # extra: what it adds, and a module of each of its packages
     "video": ("MP4 files in rlbench video", ("imageio_ffmpeg",)),
     "dev": ("tools for make test", ("pytest", "ruff", "mypy", "importlinter", "hypothesis")),
 }
+
+
+def doctor(plugin: options.Plugins = None, as_json: options.Json = False) -> None:
+    """Report what this machine has, lacks, and how to get it.
+
+    Examples:
+
+    \b
+      rlbench doctor
+    """
+    load_plugins(plugin, allow_broken=True)
+    if as_json:
+        output = ChecksOutput()
+        output.add(inspect_machine(), title=platform.node())
+        print_json(output)
+        return
+    from rich.console import Console
+
+    from rlbench.checks.console import print_results
+
+    print_results(inspect_machine(), Console())
 
 
 def inspect_machine() -> Iterator[CheckResult]:
@@ -57,6 +79,8 @@ def _check_versions() -> Iterator[CheckResult]:
 
 def _check_devices() -> Iterator[CheckResult]:
     import torch
+
+    from rlbench.system import bfloat16
 
     cores = f"{os.cpu_count()} cores, torch uses {torch.get_num_threads()} threads"
     yield passed("processor", f"{provenance.machine().cpu}, {cores}")
@@ -104,6 +128,8 @@ def _check_cycles() -> Iterator[CheckResult]:
 
 
 def _check_clips() -> Iterator[CheckResult]:
+    from rlbench.clips.header import ClipError, read_header
+
     finished, unfinished = [], []
     for folder in sorted(paths.clips_folder().glob("*/*/")):
         try:

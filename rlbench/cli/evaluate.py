@@ -7,8 +7,10 @@ from typing import Annotated
 
 import typer
 
-from rlbench.cli import arguments, options
-from rlbench.cli.plugins import load_plugins
+from rlbench.cli import options
+from rlbench.cli.arguments import split_names
+from rlbench.cli.methods import load_plugins
+from rlbench.cli.options import MEASUREMENT, folder, option
 
 __all__ = ["evaluate"]
 
@@ -17,27 +19,23 @@ def evaluate(
     results: Annotated[
         Path,
         typer.Argument(
-            metavar="RESULTS",
-            file_okay=False,
-            help="results folder of rlbench run --keep-images",
+            metavar="RESULTS", file_okay=False, help="results folder of rlbench run --keep-images"
         ),
     ] = Path("results"),
     metrics: Annotated[
         list[str] | None,
-        typer.Option(
-            "--metrics",
-            metavar="NAMES",
-            help="metrics a,b; can be repeated; default: psnr; rlbench list metrics has all",
-            rich_help_panel=options.MEASUREMENT,
+        option(
+            MEASUREMENT,
+            "metrics a,b; can be repeated; default: psnr; rlbench list metrics has all",
+            value="NAMES",
         ),
     ] = None,
     convention: Annotated[
         list[str] | None,
-        typer.Option(
-            "--convention",
-            metavar="NAMES",
-            help="conventions a,b of metrics that take one; default: srgb; can be repeated",
-            rich_help_panel=options.MEASUREMENT,
+        option(
+            MEASUREMENT,
+            "conventions a,b of metrics that take one; default: srgb; can be repeated",
+            value="NAMES",
         ),
     ] = None,
     methods: options.RowMethods = None,
@@ -47,13 +45,7 @@ def evaluate(
     takes: options.Takes = None,
     clips: options.Clips = None,
     out: Annotated[
-        Path | None,
-        typer.Option(
-            file_okay=False,
-            metavar="FOLDER",
-            help="results folder to write to; default: RESULTS/evaluated",
-            rich_help_panel=options.OUTPUT,
-        ),
+        Path | None, folder("results folder to write to; default: RESULTS/evaluated")
     ] = None,
 ) -> None:
     """Score kept images again, without running a method.
@@ -70,22 +62,21 @@ def evaluate(
       rlbench evaluate mine --metrics mymetric --plugin mymetric.py --clips my_renders/
     """
     load_plugins(plugin)
+    from rlbench.benchmark import evaluation
     from rlbench.benchmark.api import select_clips
-    from rlbench.benchmark.evaluated_metrics import select_metrics
-    from rlbench.benchmark.evaluation import evaluate as score
-    from rlbench.benchmark.evaluation import find_kept_cells, image_pools
+    from rlbench.benchmark.cell_images import find_kept_cells, image_pools
+    from rlbench.benchmark.evaluation import select_metrics
     from rlbench.cli import console
     from rlbench.system.paths import check_writable
 
-    selected = select_metrics(
-        arguments.split_names(metrics) or ["psnr"], arguments.split_names(convention)
-    )
-    target, scene_names = out or results / "evaluated", arguments.split_names(scenes)
+    selected = select_metrics(split_names(metrics) or ["psnr"], split_names(convention))
+    target = out or results / "evaluated"
     check_writable(target)
-    sources = select_clips(clips, scene_names, preset, takes, pool_kinds=image_pools(results))
-    cells = find_kept_cells(results, sources, arguments.split_names(methods))
+    pools = image_pools(results)
+    sources = select_clips(clips, split_names(scenes), preset, takes, pool_kinds=pools)
+    cells = find_kept_cells(results, sources, split_names(methods))
     with console.counting("scoring images", len(cells)) as advance:
-        summary = score(results, cells, selected, target, lambda kept: advance())
+        summary = evaluation.evaluate(results, cells, selected, target, lambda kept: advance())
     names = ", ".join(each.name for each in selected)
     typer.echo(
         f"{names}: {summary.scored} scored, {summary.cached} already in the results; "

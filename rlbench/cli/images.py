@@ -7,56 +7,38 @@ from typing import Annotated
 
 import typer
 
-from rlbench.cli import arguments, options
-from rlbench.cli.arguments import Budgets, WeightsChoice
-from rlbench.cli.benchmark import warn_without_networks
-from rlbench.cli.plugins import load_rows
+from rlbench.cli import options
+from rlbench.cli.arguments import Budgets, WeightsChoice, split_names
+from rlbench.cli.methods import (
+    expand_methods,
+    load_rows,
+    require_methods,
+    warn_without_networks,
+)
+from rlbench.cli.options import CLIPS, MEASUREMENT, folder, option
 
 __all__ = ["images"]
+
+ONE_SPP = Budgets((1.0,))
 
 
 def images(
     context: typer.Context,
     methods: options.Methods = None,
-    weights: options.Weights = None,
-    bf16: options.Bf16 = False,
-    plugin: options.Plugins = None,
     scenes: options.Scenes = None,
     preset: options.Preset = "mini",
-    takes: options.Takes = None,
     clips: options.Clips = None,
-    frame: Annotated[
-        int,
-        typer.Option(help="index of the frame; -1: the last", rich_help_panel=options.CLIPS),
-    ] = -1,
-    spp: Annotated[
-        Budgets,
-        typer.Option(
-            parser=arguments.parse_budgets,
-            metavar="SPP",
-            show_default=False,
-            help="budgets in samples per pixel; default: 1",
-            rich_help_panel=options.MEASUREMENT,
-        ),
-    ] = options.DEFAULT_IMAGE_SPP,
+    spp: Annotated[Budgets, options.budgets("budgets in samples per pixel; default: 1")] = ONE_SPP,
+    frame: Annotated[int, option(CLIPS, "index of the frame; -1: the last")] = -1,
+    out: Annotated[Path, folder("folder to write to")] = Path("images"),
+    plugin: options.Plugins = None,
+    weights: options.Weights = None,
+    bf16: options.Bf16 = False,
+    takes: options.Takes = None,
     seed: Annotated[
-        int,
-        typer.Option(
-            min=0,
-            help="seed of the sample order and of rounding",
-            rich_help_panel=options.MEASUREMENT,
-        ),
+        int, option(MEASUREMENT, "seed of the sample order and of rounding", min=0)
     ] = 0,
     device: options.Device = "auto",
-    out: Annotated[
-        Path,
-        typer.Option(
-            file_okay=False,
-            metavar="FOLDER",
-            help="folder to write to",
-            rich_help_panel=options.OUTPUT,
-        ),
-    ] = Path("images"),
 ) -> None:
     """Write images of one frame: PNG, EXR, and a sheet.
 
@@ -70,27 +52,23 @@ def images(
       rlbench images -m ours,ntas,mean --scenes city
       rlbench images -m ours,ours/A2 --preset standard --takes main --spp 0.1,1 --frame 5
     """
-    load_rows(context, plugin, arguments.require_methods(methods))
-    names, chosen = arguments.expand_methods(methods), weights or WeightsChoice()  # before torch
-    from rlbench import registry
-    from rlbench.benchmark.api import check_precision, select_clips, select_device
+    load_rows(context, plugin, require_methods(methods))
+    names, chosen = expand_methods(methods), weights or WeightsChoice()  # before torch
+    from rlbench.benchmark.api import plan_run
     from rlbench.benchmark.frame_images import ImagesError, write_images
-    from rlbench.benchmark.preflight import check_run
-    from rlbench.benchmark.run_plan import RunPlan
     from rlbench.cli import console
 
     warn_without_networks(names, bf16, chosen)
-    target = select_device(device)
-    check_precision(names, bf16, device)
-    check_run(names, spp, out, None if clips else preset, weights=chosen.file)
-    pools = {registry.get_variant(name).traits.pool for name in names}
-    scene_names = arguments.split_names(scenes)
-    plan = RunPlan(
-        methods=names,
-        clips=select_clips(clips, scene_names, preset, takes, pool_kinds=pools),
-        target_spp=spp,
+    plan = plan_run(
+        names,
+        out,
+        spp=spp,
+        scenes=split_names(scenes),
+        preset=preset,
+        takes=takes,
+        clips=clips,
         seeds=(seed,),
-        device=target,
+        device=device,
         weights=chosen.file,
         weights_label=chosen.label,
         bf16=bf16,

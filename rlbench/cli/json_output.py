@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from rlbench.benchmark.cache_entries import CacheEntry
-    from rlbench.benchmark.run_table import RunOutcome
+    from rlbench.benchmark.run_outcome import RunOutcome
 
 __all__ = [
     "CacheOutput",

@@ -11,6 +11,7 @@ from typing import Annotated
 
 import typer
 
+from rlbench.cli.options import flag, option
 from rlbench.errors import OptionError
 
 __all__ = ["new"]
@@ -25,12 +26,12 @@ def new(
         str, typer.Argument(metavar="NAME", help="of the method, its package and its folder")
     ],
     training: Annotated[
-        bool, typer.Option("--learned", help="a method that learns, and how it is trained")
+        bool, flag(None, "--learned", "a method that learns, and how it is trained")
     ] = False,
-    metric: Annotated[bool, typer.Option("--metric", help="a metric as well")] = False,
-    scene: Annotated[bool, typer.Option("--scene", help="a scene as well")] = False,
+    metric: Annotated[bool, flag(None, "--metric", "a metric as well")] = False,
+    scene: Annotated[bool, flag(None, "--scene", "a scene as well")] = False,
     out: Annotated[
-        Path | None, typer.Option(metavar="FOLDER", help="folder to make; default: NAME")
+        Path | None, option(None, "folder to make; default: NAME", value="FOLDER")
     ] = None,
 ) -> None:
     """Make a package for a method of your own.

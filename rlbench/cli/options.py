@@ -1,248 +1,297 @@
-"""Options that several commands share, each declared once."""
+"""Options: how one is declared, those that several commands share, and what the shell completes.
+
+A command lists its options in the order of their importance: `-h` shows the first ones, and
+`--help-all` shows them all, in the groups below.
+"""
 
 from __future__ import annotations
 
+from collections.abc import Callable, Iterable
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal
 
 import typer
 
 from rlbench.cli import arguments
 from rlbench.cli.arguments import Budgets, Seeds, WeightsChoice
-from rlbench.cli.completion import complete_methods, complete_names
 
-METHODS, CLIPS = "Methods", "Clips"  # titles of groups of options
-MEASUREMENT, EXECUTION, OUTPUT = "Measurement", "Execution", "Output"
-RENDERING = "Rendering"
+METHODS, CLIPS, MEASUREMENT = "Methods", "Clips", "Measurement"  # titles of groups
+TRAINING, RENDERING, EXECUTION, OUTPUT = "Training", "Rendering", "Execution", "Output"
 
 DEFAULT_SPP = Budgets((0.5, 1.0, 2.0, 4.0))
-DEFAULT_IMAGE_SPP = Budgets((1.0,))
 DEFAULT_SEEDS = Seeds((0,))
+DEFAULT_TRAIN_SPP = Budgets(())  # those of the method
+DEFAULT_FRAMES, DEFAULT_CROP = 12_000, 128  # those of TrainingConfig
+
+Complete = Callable[[str], list[str]]
+
+
+def option(
+    group: str | None,
+    text: str,
+    *names: str,
+    value: str | None = None,
+    parse: Callable[[str], Any] | None = None,
+    complete: Complete | None = None,
+    **more: Any,
+) -> Any:
+    """An option in a group of the help; `value` is what the help shows in place of a value.
+
+    Without `names` it is called as the parameter.
+    """
+    return typer.Option(
+        *names,
+        help=text,
+        metavar=value,
+        parser=parse,
+        autocompletion=complete,
+        rich_help_panel=group,
+        **more,
+    )
+
+
+def flag(group: str | None, name: str, text: str) -> Any:
+    """An option without a value."""
+    return option(group, text, name)
+
+
+def folder(text: str, *names: str) -> Any:
+    """An option that names a folder to read or write."""
+    return option(OUTPUT, text, *names, value="FOLDER", file_okay=False)
+
+
+def file(text: str, group: str | None = OUTPUT) -> Any:
+    """An option that names a file to write."""
+    return option(group, text, value="FILE", dir_okay=False)
+
+
+def complete_names(kind: str, more: Iterable[str] = ()) -> Complete:
+    """A completer of the names of one kind, as in `rlbench list KIND`, and of `more` words.
+
+    In a list a,b it completes the last name. Nothing heavy is imported.
+    """
+
+    def complete(incomplete: str) -> list[str]:
+        from rlbench import registry
+        from rlbench.benchmark.listing import list_installed
+
+        if kind in ("scenes", "reports", "metrics"):
+            names = registry.list_plugins(kind)
+        else:
+            names = [row["name"] for row in list_installed(kind)[kind]]
+        before, comma, last = incomplete.rpartition(",")
+        return [f"{before}{comma}{name}" for name in (*names, *more) if name.startswith(last)]
+
+    return complete
+
+
+complete_methods = complete_names("methods", ("all",))
+
+
+def names_of_methods(text: str, value: str = "NAMES") -> Any:
+    """The option --methods."""
+    return option(METHODS, text, "--methods", "-m", value=value, complete=complete_methods)
+
+
+def names_of_scenes(text: str) -> Any:
+    """The option --scenes."""
+    return option(CLIPS, text, "--scenes", value="NAMES", complete=complete_names("scenes"))
+
+
+def budgets(text: str, *, has_default: bool = True) -> Any:
+    """The option --spp, a list of budgets."""
+    parse = arguments.parse_budgets
+    return option(
+        MEASUREMENT, text, "--spp", value="SPP", parse=parse, show_default=not has_default
+    )
+
 
 # methods
 Methods = Annotated[
     list[str] | None,
-    typer.Option(
-        "--methods",
-        "-m",
-        metavar="NAMES",
-        help="names a,b; all; family/*; all/*; can be repeated, and -m can be left out",
-        autocompletion=complete_methods,
-        rich_help_panel=METHODS,
-    ),
+    names_of_methods("names a,b; all; family/*; all/*; can be repeated, and -m can be left out"),
 ]
 RowMethods = Annotated[
-    list[str] | None,
-    typer.Option(
-        "--methods",
-        "-m",
-        metavar="NAMES",
-        help="names a,b of rows in the results; default: all",
-        autocompletion=complete_methods,
-        rich_help_panel=METHODS,
-    ),
+    list[str] | None, names_of_methods("names a,b of rows in the results; default: all")
 ]
 Plugins = Annotated[
     list[Path] | None,
-    typer.Option(
+    option(
+        METHODS,
+        "a Python file with FAMILY or METHODS; can be repeated",
         "--plugin",
-        metavar="FILE",
-        help="a Python file with FAMILY or METHODS; can be repeated",
-        rich_help_panel=METHODS,
+        value="FILE",
     ),
 ]
 Weights = Annotated[
     WeightsChoice | None,
-    typer.Option(
-        parser=arguments.parse_weights,
-        metavar="[NAME=]FILE",
-        help="trained weights, for rows METHOD@NAME; or random; default: the shipped weights",
-        rich_help_panel=METHODS,
+    option(
+        METHODS,
+        "trained weights, for rows METHOD@NAME; or random; default: the shipped weights",
+        value="[NAME=]FILE",
+        parse=arguments.parse_weights,
     ),
 ]
-Bf16 = Annotated[
-    bool,
-    typer.Option(
-        "--bf16", help="run networks in bfloat16, for rows METHOD@bf16", rich_help_panel=METHODS
-    ),
-]
+Bf16 = Annotated[bool, flag(METHODS, "--bf16", "run networks in bfloat16, for rows METHOD@bf16")]
 Backend = Annotated[
     Literal["eager", "openvino", "compile", "auto"],
-    typer.Option(
-        help="what runs networks: PyTorch, OpenVINO, torch.compile, or OpenVINO where it is "
+    option(
+        METHODS,
+        "what runs networks: PyTorch, OpenVINO, torch.compile, or OpenVINO where it is "
         "installed; for rows METHOD@openvino",
-        rich_help_panel=METHODS,
     ),
 ]
 
 # clips
-Scenes = Annotated[
-    list[str] | None,
-    typer.Option(
-        "--scenes",
-        metavar="NAMES",
-        help="scenes or clips a,b; default: all",
-        autocompletion=complete_names("scenes"),
-        rich_help_panel=CLIPS,
-    ),
+Scenes = Annotated[list[str] | None, names_of_scenes("scenes or clips a,b; default: all")]
+RowScenes = Annotated[
+    list[str] | None, names_of_scenes("scenes or clips a,b of the results; default: all")
 ]
 Preset = Annotated[
     str,
-    typer.Option(
-        metavar="PRESET",
-        help="size and length of the clips: see rlbench list presets",
-        autocompletion=complete_names("presets"),
-        rich_help_panel=CLIPS,
+    option(
+        CLIPS,
+        "size and length of the clips: see rlbench list presets",
+        value="PRESET",
+        complete=complete_names("presets"),
     ),
 ]
 Takes = Annotated[
     Literal["main", "all"] | None,
-    typer.Option(help="takes of each scene; default: as in the preset", rich_help_panel=CLIPS),
+    option(CLIPS, "takes of each scene; default: as in the preset"),
 ]
 Clips = Annotated[
     list[Path] | None,
-    typer.Option(
-        metavar="FOLDER",
-        help="a clip, or a folder of clips, instead of a preset; can be repeated",
-        rich_help_panel=CLIPS,
+    option(
+        CLIPS, "a clip, or a folder of clips, instead of a preset; can be repeated", value="FOLDER"
     ),
 ]
 SceneSeeds = Annotated[
     Seeds | None,
-    typer.Option(
-        parser=arguments.parse_seeds,
-        metavar="SEEDS",
-        help="seeds of generated scenes, 0:40 or 3,7; default: as in the preset",
-        rich_help_panel=CLIPS,
-    ),
-]
-
-RowScenes = Annotated[
-    list[str] | None,
-    typer.Option(
-        "--scenes",
-        metavar="NAMES",
-        help="scenes or clips a,b of the results; default: all",
-        autocompletion=complete_names("scenes"),
-        rich_help_panel=CLIPS,
+    option(
+        CLIPS,
+        "seeds of generated scenes, 0:40 or 3,7; default: as in the preset",
+        value="SEEDS",
+        parse=arguments.parse_seeds,
     ),
 ]
 
 # measurement
+Spp = Annotated[Budgets, budgets("budgets in samples per pixel; default: 0.5,1,2,4")]
 RowBudgets = Annotated[
-    Budgets | None,
-    typer.Option(
-        "--spp",
-        parser=arguments.parse_budgets,
-        metavar="SPP",
-        help="budgets of the results in samples per pixel; default: all",
-        rich_help_panel=MEASUREMENT,
-    ),
+    Budgets | None, budgets("budgets of the results in samples per pixel; default: all")
 ]
 ShownBudgets = Annotated[
-    Budgets | None,
-    typer.Option(
-        "--spp",
-        parser=arguments.parse_budgets,
-        metavar="SPP",
-        help="budgets whose images are shown; default: the one nearest to 1 spp",
-        rich_help_panel=MEASUREMENT,
-    ),
+    Budgets | None, budgets("budgets whose images are shown; default: the one nearest to 1 spp")
 ]
 Metric = Annotated[
     str,
-    typer.Option(
-        metavar="NAME",
-        help="the score that decides, as in the results",
-        autocompletion=complete_names("metrics"),
-        rich_help_panel=MEASUREMENT,
+    option(
+        MEASUREMENT,
+        "the score that decides, as in the results",
+        value="NAME",
+        complete=complete_names("metrics"),
     ),
 ]
 RowDevice = Annotated[
     str,
-    typer.Option(
+    option(
+        MEASUREMENT,
+        "device whose rows count, if the results have several",
         "--device",
-        metavar="NAME",
-        help="device whose rows count, if the results have several",
-        rich_help_panel=MEASUREMENT,
-    ),
-]
-Draws = Annotated[
-    int | None,
-    typer.Option(
-        min=1,
-        help="number of sample orders: --draws 3 is --seed 0,1,2",
-        rich_help_panel=MEASUREMENT,
-    ),
-]
-Spp = Annotated[
-    Budgets,
-    typer.Option(
-        parser=arguments.parse_budgets,
-        metavar="SPP",
-        show_default=False,
-        help="budgets in samples per pixel; default: 0.5,1,2,4",
-        rich_help_panel=MEASUREMENT,
+        value="NAME",
     ),
 ]
 Cost = Annotated[
     str,
-    typer.Option(
-        metavar="COST",
-        help="time of a sample: measured, paper-2080ti, or a TOML file",
-        autocompletion=complete_names("profiles"),
-        rich_help_panel=MEASUREMENT,
+    option(
+        MEASUREMENT,
+        "time of a sample: measured, paper-2080ti, or a TOML file",
+        value="COST",
+        complete=complete_names("profiles"),
+    ),
+]
+Repeats = Annotated[
+    int,
+    option(
+        MEASUREMENT,
+        "fewest timed frames of a row; more are timed until the median is steady",
+        min=1,
     ),
 ]
 LimitFrames = Annotated[
     int | None,
-    typer.Option(
+    option(MEASUREMENT, "measure only the first frames of each clip, for a trial run", min=1),
+]
+
+# training
+Frames = Annotated[
+    int | None,
+    option(
+        TRAINING,
+        f"crops to train on, per method; default: {DEFAULT_FRAMES}, or 600 with train --quick",
         min=1,
-        help="measure only the first frames of each clip, for a trial run",
-        rich_help_panel=MEASUREMENT,
+    ),
+]
+Batch = Annotated[int, option(TRAINING, "crops that advance together", min=1)]
+Crop = Annotated[int, option(TRAINING, "side of a crop in pixels", min=16)]
+TrainSpp = Annotated[
+    Budgets,
+    option(
+        TRAINING,
+        "training budgets such as 4 or 0.5,1,2; default: those of the method",
+        value="SPP",
+        parse=arguments.parse_train_spp,
+        show_default=False,
+    ),
+]
+TrainBf16 = Annotated[bool, flag(TRAINING, "--bf16", "run the forward pass in bfloat16")]
+MaxGradNorm = Annotated[
+    float,
+    option(
+        TRAINING,
+        "longer gradients are scaled down to this L2 norm",
+        value="NORM",
+        parse=arguments.parse_positive,
+    ),
+]
+TrainSeed = Annotated[int, option(TRAINING, "of weights, sequences and budgets", "--seed")]
+Minutes = Annotated[
+    float | None,
+    option(
+        TRAINING,
+        "stop each training after this time, rendering of clips included, and a queue as a "
+        "whole; the same command resumes it",
+        value="MINUTES",
+        parse=arguments.parse_positive,
+    ),
+]
+AllowConfigChange = Annotated[
+    bool,
+    flag(
+        TRAINING,
+        "--allow-config-change",
+        "resume a checkpoint that has another config; the model card records the change",
     ),
 ]
 
 # execution
-Device = Annotated[
-    str,
-    typer.Option(
-        metavar="DEVICE", help="auto, cpu, cuda, or a torch device", rich_help_panel=EXECUTION
-    ),
-]
+Device = Annotated[str, option(EXECUTION, "auto, cpu, cuda, or a torch device", value="DEVICE")]
 Engine = Annotated[
-    Literal["local", "ray"],
-    typer.Option(help="ray works on many frames or cells in parallel", rich_help_panel=EXECUTION),
+    Literal["local", "ray"], option(EXECUTION, "ray works on many frames or cells in parallel")
 ]
 RayAddress = Annotated[
     str | None,
-    typer.Option(
-        metavar="ADDRESS",
-        help="of a running Ray cluster, auto or host:port; default: start Ray here",
-        rich_help_panel=EXECUTION,
+    option(
+        EXECUTION,
+        "of a running Ray cluster, auto or host:port; default: start Ray here",
+        value="ADDRESS",
     ),
 ]
 
 # output
-Json = Annotated[
-    bool,
-    typer.Option("--json", help="print JSON, for scripts", rich_help_panel=OUTPUT),
-]
-Results = Annotated[
-    Path,
-    typer.Option(
-        file_okay=False,
-        metavar="FOLDER",
-        help="folder of the results table",
-        rich_help_panel=OUTPUT,
-    ),
-]
-ResultsOut = Annotated[
-    Path,
-    typer.Option(
-        file_okay=False,
-        metavar="FOLDER",
-        help="results folder; new rows are added to it",
-        rich_help_panel=OUTPUT,
-    ),
+Json = Annotated[bool, flag(OUTPUT, "--json", "print JSON, for scripts")]
+Results = Annotated[Path, folder("folder of the results table")]
+RunFolder = Annotated[
+    Path, typer.Argument(metavar="RESULTS", help="folder of rlbench run", file_okay=False)
 ]

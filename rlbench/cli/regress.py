@@ -9,8 +9,10 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from rlbench.cli import arguments, options
-from rlbench.cli.plugins import load_plugins
+from rlbench.cli import options
+from rlbench.cli.arguments import split_names
+from rlbench.cli.methods import load_plugins
+from rlbench.cli.options import MEASUREMENT, OUTPUT, file, flag, folder, option
 from rlbench.errors import OptionError, RlbenchError
 from rlbench.registry.near_names import unknown_name
 
@@ -19,73 +21,55 @@ if TYPE_CHECKING:
 
     from rlbench.benchmark.clip_sources import StoredSource
     from rlbench.benchmark.regression.baseline import Baseline
-    from rlbench.benchmark.regression.comparison import RegressionReport
+    from rlbench.benchmark.regression.comparison import RegressionReport, SpeedResult
     from rlbench.benchmark.regression.crops import Crops
-    from rlbench.benchmark.regression.speed_gate import SpeedResult
 
 __all__ = ["regress", "select_baseline"]
 
 
 def regress(
     methods: options.RowMethods = None,
-    plugin: options.Plugins = None,
-    clips: options.Clips = None,
     results: options.Results = Path("results"),
     baseline: Annotated[
         str,
-        typer.Option(
-            metavar="NAME|FILE",
-            help="a baseline that ships, such as mini, or a JSON file; default: the shipped one of "
+        option(
+            OUTPUT,
+            "a baseline that ships, such as mini, or a JSON file; default: the shipped one of "
             "the results' preset",
-            rich_help_panel=options.OUTPUT,
+            value="NAME|FILE",
         ),
     ] = "",
     update: Annotated[
         bool,
-        typer.Option(
+        flag(
+            OUTPUT,
             "--update",
-            help="rewrite the baseline FILE from the results; with --methods, their entries alone",
-            rich_help_panel=options.OUTPUT,
+            "rewrite the baseline FILE from the results; with --methods, their entries alone",
         ),
     ] = False,
     speed: Annotated[
         list[str] | None,
-        typer.Option(
-            metavar="A/B<=RATIO",
-            help="largest ratio of the inference times of two rows; both are timed now, on "
+        option(
+            MEASUREMENT,
+            "largest ratio of the inference times of two rows; both are timed now, on "
             "generated frames; can be repeated",
-            rich_help_panel=options.MEASUREMENT,
+            value="A/B<=RATIO",
         ),
     ] = None,
-    device: options.Device = "auto",
-    junit: Annotated[
-        Path | None,
-        typer.Option(
-            dir_okay=False,
-            metavar="FILE",
-            help="write JUnit XML, a test case for each cell",
-            rich_help_panel=options.OUTPUT,
-        ),
-    ] = None,
+    junit: Annotated[Path | None, file("write JUnit XML, a test case for each cell")] = None,
     summary: Annotated[
         Path | None,
-        typer.Option(
-            dir_okay=False,
-            metavar="FILE",
-            help="write Markdown with crops of the worst change in a folder beside it; also added "
-            "to $GITHUB_STEP_SUMMARY",
-            rich_help_panel=options.OUTPUT,
+        file(
+            "write Markdown with crops of the worst change in a folder beside it; also added "
+            "to $GITHUB_STEP_SUMMARY"
         ),
     ] = None,
     before: Annotated[
-        Path | None,
-        typer.Option(
-            file_okay=False,
-            metavar="FOLDER",
-            help="results with kept images of the code before, for the crops",
-            rich_help_panel=options.OUTPUT,
-        ),
+        Path | None, folder("results with kept images of the code before, for the crops")
     ] = None,
+    clips: options.Clips = None,
+    plugin: options.Plugins = None,
+    device: options.Device = "auto",
 ) -> None:
     """Compare scores, and ratios of times, with a baseline.
 
@@ -103,16 +87,15 @@ def regress(
       rlbench regress --speed 'ours / oidn <= 1.3'
     """
     load_plugins(plugin)
-    from rlbench.benchmark.regression.baseline import find_baseline, load_baseline
+    from rlbench.benchmark.regression.baseline import find_baseline, load_baseline, only_preset
     from rlbench.benchmark.regression.comparison import compare
-    from rlbench.benchmark.regression.scores import only_preset
     from rlbench.benchmark.results import read
     from rlbench.system.paths import check_writable
 
-    for option, file in (("--junit", junit), ("--summary", summary)):
-        if file:
-            check_writable(file.parent, option)
-    names = arguments.split_names(methods)
+    for word, target in (("--junit", junit), ("--summary", summary)):
+        if target:
+            check_writable(target.parent, word)
+    names = split_names(methods)
     if update:
         _update(results, baseline, names)
         return
@@ -125,11 +108,11 @@ def regress(
         comparison = replace(comparison, speed=_measure_speed(gates, device))
     typer.echo(comparison.text())
     if junit:
-        from rlbench.benchmark.regression.junit import write_junit
+        from rlbench.benchmark.regression.pages import write_junit
 
         write_junit(comparison, junit)
     if summary:
-        from rlbench.benchmark.regression.page import append_to_job_summary, write_summary
+        from rlbench.benchmark.regression.pages import append_to_job_summary, write_summary
 
         crops = _crop_worst(comparison, rows, expected.seed, clips, results, before, summary)
         write_summary(comparison, crops, summary)
@@ -153,8 +136,7 @@ def select_baseline(
 
 
 def _update(results: Path, baseline: str, methods: list[str]) -> None:
-    from rlbench.benchmark.regression.baseline import shipped_baselines
-    from rlbench.benchmark.regression.update import update_baseline
+    from rlbench.benchmark.regression.baseline import shipped_baselines, update_baseline
     from rlbench.benchmark.results import read
 
     if not baseline or baseline in shipped_baselines():
@@ -168,7 +150,7 @@ def _update(results: Path, baseline: str, methods: list[str]) -> None:
 
 def _measure_speed(gates: Collection[str], device: str) -> tuple[SpeedResult, ...]:
     from rlbench.benchmark.api import select_device
-    from rlbench.benchmark.regression.speed_gate import measure_gates, parse_gate
+    from rlbench.benchmark.regression.comparison import measure_gates, parse_gate
     from rlbench.cli import console
 
     parsed = [parse_gate(gate) for gate in gates]

@@ -8,8 +8,10 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
 
-from rlbench.cli import arguments, options
+from rlbench.cli import options
+from rlbench.cli.arguments import split_names
 from rlbench.cli.json_output import ScenesOutput, print_json
+from rlbench.cli.options import OUTPUT, option
 from rlbench.errors import OptionError
 
 if TYPE_CHECKING:
@@ -40,12 +42,12 @@ def scenes(
     ] = None,
     out: Annotated[
         Path | None,
-        typer.Option(
+        option(
+            OUTPUT,
+            "folder for the scenes, or file for the pin; default: the cache",
             "--out",
             "--folder",
-            metavar="PATH",
-            help="folder for the scenes, or file for the pin; default: the cache",
-            rich_help_panel=options.OUTPUT,
+            value="PATH",
         ),
     ] = None,
     as_json: options.Json = False,
@@ -65,7 +67,7 @@ def scenes(
       rlbench scenes pin dining-room
       rlbench scenes pin OWNER/REPOSITORY@COMMIT:FOLDER --out attic.tsv
     """
-    words = arguments.split_names(names)
+    words = split_names(names)
     if action == "list":
         if words or out:
             raise OptionError("a list takes no names and no --out. To download: rlbench scenes get")
@@ -85,7 +87,7 @@ def _print_scenes(as_json: bool) -> None:
     if as_json:
         print_json(ScenesOutput(rows))
         return
-    from rlbench.cli.installed import print_installed
+    from rlbench.cli.list_ import print_installed
 
     print_installed({"scenes by others": [{**row, "MB": _format_size(row)} for row in rows]})
 

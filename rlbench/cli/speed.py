@@ -8,9 +8,10 @@ from typing import Annotated
 
 import typer
 
-from rlbench.cli import arguments, options
-from rlbench.cli.arguments import PixelSize, PixelSizes
-from rlbench.cli.plugins import load_rows
+from rlbench.cli import options
+from rlbench.cli.arguments import PixelSize, PixelSizes, parse_sizes, split_names
+from rlbench.cli.methods import expand_methods, load_rows
+from rlbench.cli.options import MEASUREMENT, METHODS, flag, folder, option
 
 __all__ = ["speed"]
 
@@ -23,49 +24,26 @@ def speed(
     plugin: options.Plugins = None,
     sizes: Annotated[
         PixelSizes,
-        typer.Option(
-            parser=arguments.parse_sizes,
-            metavar="SIZES",
+        option(
+            MEASUREMENT,
+            "192 (square), 640x480 or 1080p, a list a,b; default: 192,720,1080p",
+            value="SIZES",
+            parse=parse_sizes,
             show_default=False,
-            help="192 (square), 640x480 or 1080p, a list a,b; default: 192,720,1080p",
-            rich_help_panel=options.MEASUREMENT,
         ),
     ] = SIZES,
     backend: Annotated[
         list[str] | None,
-        typer.Option(
-            "--backend",
-            metavar="NAMES",
-            help="what runs networks: a list of eager, openvino, compile; default: eager",
-            rich_help_panel=options.METHODS,
+        option(
+            METHODS,
+            "what runs networks: a list of eager, openvino, compile; default: eager",
+            value="NAMES",
         ),
     ] = None,
-    bf16: Annotated[
-        bool,
-        typer.Option(
-            "--bf16",
-            help="measure networks in bfloat16 too",
-            rich_help_panel=options.METHODS,
-        ),
-    ] = False,
-    repeats: Annotated[
-        int,
-        typer.Option(
-            min=1,
-            help="fewest timed frames of a row; more are timed until the median is steady",
-            rich_help_panel=options.MEASUREMENT,
-        ),
-    ] = 10,
+    bf16: Annotated[bool, flag(METHODS, "--bf16", "measure networks in bfloat16 too")] = False,
+    repeats: options.Repeats = 10,
     device: options.Device = "auto",
-    out: Annotated[
-        Path,
-        typer.Option(
-            file_okay=False,
-            metavar="FOLDER",
-            help="folder of the table",
-            rich_help_panel=options.OUTPUT,
-        ),
-    ] = Path("results/speed"),
+    out: Annotated[Path, folder("folder of the table")] = Path("results/speed"),
 ) -> None:
     """Time methods by image size, backend and precision.
 
@@ -81,18 +59,17 @@ def speed(
       rlbench speed -m ours,ntas --sizes 1080p --backend eager,openvino --bf16
       rlbench speed -m mine,oidn-intel --plugin mine.py --sizes 640x480
     """
-    load_rows(context, plugin, arguments.split_names(methods) or ["all"])
-    names = arguments.expand_methods(methods, pretrained_only=False, default="all")
+    load_rows(context, plugin, split_names(methods) or ["all"])
+    names = expand_methods(methods, pretrained_only=False, default="all")
     from rlbench import registry
     from rlbench.backends import EAGER, select_backend
     from rlbench.benchmark.api import check_precision, select_device
-    from rlbench.benchmark.speed import Configuration, failed_rows, measure_speed
-    from rlbench.benchmark.speed_page import write_speed
+    from rlbench.benchmark.speed import Configuration, failed_rows, measure_speed, write_speed
     from rlbench.cli import console
     from rlbench.system.paths import check_writable
 
     target = select_device(device)
-    backends = [select_backend(name, target) for name in arguments.split_names(backend) or [EAGER]]
+    backends = [select_backend(name, target) for name in split_names(backend) or [EAGER]]
     check_precision(names, bf16, device)
     check_writable(out)
     configurations = [

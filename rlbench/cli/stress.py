@@ -7,8 +7,10 @@ from typing import Annotated
 
 import typer
 
-from rlbench.cli import arguments, options
-from rlbench.cli.plugins import load_rows
+from rlbench.cli import options
+from rlbench.cli.arguments import split_names
+from rlbench.cli.methods import load_rows
+from rlbench.cli.options import EXECUTION, flag, folder, option
 
 __all__ = ["stress"]
 
@@ -18,31 +20,18 @@ def stress(
     methods: options.Methods = None,
     only: Annotated[
         list[str] | None,
-        typer.Option(
-            "--only", metavar="SECTIONS", help="sections a,b of those above; default: all of them"
-        ),
+        option(None, "sections a,b of those above; default: all of them", value="SECTIONS"),
     ] = None,
     quick: Annotated[
-        bool, typer.Option("--quick", help="shorter clips and fewer tests, seconds per method")
+        bool, flag(None, "--quick", "shorter clips and fewer tests, seconds per method")
     ] = False,
     plugin: options.Plugins = None,
     device: options.Device = "cpu",
     restart: Annotated[
-        bool,
-        typer.Option(
-            "--restart",
-            help="run again what the output folder holds",
-            rich_help_panel=options.EXECUTION,
-        ),
+        bool, flag(EXECUTION, "--restart", "run again what the output folder holds")
     ] = False,
     out: Annotated[
-        Path,
-        typer.Option(
-            file_okay=False,
-            metavar="FOLDER",
-            help="folder of stress.csv, stress.json and the results that a later call reuses",
-            rich_help_panel=options.OUTPUT,
-        ),
+        Path, folder("folder of stress.csv, stress.json and the results that a later call reuses")
     ] = Path("results/stress"),
 ) -> None:
     """Stress-test methods, with a verdict per test.
@@ -65,7 +54,7 @@ def stress(
       rlbench stress -m ours,svgf --only bad-pixel
       rlbench stress -m mine --plugin mine.py --quick
     """
-    names = arguments.split_names(methods)
+    names = split_names(methods)
     load_rows(context, plugin, names or ["all"])
     from rlbench.benchmark.api import select_device
     from rlbench.checks.stress.run import stress_methods
@@ -73,12 +62,5 @@ def stress(
 
     target = select_device(device)
     check_writable(out)
-    has_passed = stress_methods(
-        names,
-        arguments.split_names(only),
-        quick,
-        target,
-        out,
-        restart,
-    )
+    has_passed = stress_methods(names, split_names(only), quick, target, out, restart)
     raise typer.Exit(0 if has_passed else 1)

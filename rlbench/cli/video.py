@@ -7,128 +7,82 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from rlbench.cli import arguments, options
-from rlbench.cli.arguments import Crop
+from rlbench.cli import options
+from rlbench.cli.arguments import Crop, parse_crop, parse_positive, split_names
+from rlbench.cli.options import OUTPUT, flag, folder, option
+from rlbench.cli.selection import find_sources, nearest_to_one, read_rows, select_methods
 
 if TYPE_CHECKING:
     import pandas as pd
 
 __all__ = ["video"]
 
-NAME = "images"  # of the writer, among the entry points
-PICTURE = "Picture"  # titles of groups of options
-PLAYBACK = "Playback"
+PICTURE, PLAYBACK = "Picture", "Playback"  # titles of groups of options
 
 
 def video(
-    results: Annotated[
-        Path, typer.Argument(metavar="RESULTS", help="folder of rlbench run", file_okay=False)
-    ] = Path("results"),
+    results: options.RunFolder = Path("results"),
     methods: options.RowMethods = None,
     scenes: options.RowScenes = None,
-    clips: options.Clips = None,
     spp: options.ShownBudgets = None,
     layout: Annotated[
         str,
-        typer.Option(
-            metavar="LAYOUT",
-            help="side-by-side, or wipe: two images behind a moving divider",
-            rich_help_panel=PICTURE,
+        option(
+            PICTURE, "side-by-side, or wipe: two images behind a moving divider", value="LAYOUT"
         ),
     ] = "side-by-side",
-    reference: Annotated[
-        bool,
-        typer.Option("--reference", help="show the reference too", rich_help_panel=PICTURE),
-    ] = False,
+    reference: Annotated[bool, flag(PICTURE, "--reference", "show the reference too")] = False,
+    zoom: Annotated[int, option(PICTURE, "size of a pixel, in pixels", min=1)] = 2,
+    formats: Annotated[
+        list[str] | None,
+        option(
+            OUTPUT,
+            "webp, mp4 or both; mp4 needs the extra video; default: webp",
+            "--format",
+            value="NAMES",
+        ),
+    ] = None,
+    out: Annotated[Path | None, folder("folder to write to; default: RESULTS/video")] = None,
+    clips: options.Clips = None,
     samples: Annotated[
-        bool,
-        typer.Option("--samples", help="show where adaptive rows sampled", rich_help_panel=PICTURE),
+        bool, flag(PICTURE, "--samples", "show where adaptive rows sampled")
     ] = False,
     line: Annotated[
         int | None,
-        typer.Option(
-            "--slice",
-            min=0,
-            metavar="Y",
-            help="show line Y through time below each image",
-            rich_help_panel=PICTURE,
-        ),
+        option(PICTURE, "show line Y through time below each image", "--slice", value="Y", min=0),
     ] = None,
-    zoom: Annotated[
-        int, typer.Option(min=1, help="size of a pixel, in pixels", rich_help_panel=PICTURE)
-    ] = 2,
     crop: Annotated[
         Crop | None,
-        typer.Option(
-            parser=arguments.parse_crop,
-            metavar="X,Y,W,H",
-            help="part of the frame, in pixels; default: all",
-            rich_help_panel=PICTURE,
+        option(
+            PICTURE,
+            "part of the frame, in pixels; default: all",
+            value="X,Y,W,H",
+            parse=parse_crop,
         ),
     ] = None,
-    columns: Annotated[
-        int | None,
-        typer.Option(min=1, help="images in a line; default: all", rich_help_panel=PICTURE),
-    ] = None,
+    columns: Annotated[int | None, option(PICTURE, "images in a line; default: all", min=1)] = None,
     labels: Annotated[
         bool,
-        typer.Option(
-            "--labels/--no-labels",
-            help="row, spp and PSNR of the frame above each image",
-            rich_help_panel=PICTURE,
-        ),
+        flag(PICTURE, "--labels/--no-labels", "row, spp and PSNR of the frame above each image"),
     ] = True,
     titles: Annotated[
         list[str] | None,
-        typer.Option(
-            metavar="A,B",
-            help="titles instead of the names of rows, in their order",
-            rich_help_panel=PICTURE,
-        ),
+        option(PICTURE, "titles instead of the names of rows, in their order", value="A,B"),
     ] = None,
     fps: Annotated[
         float,
-        typer.Option(
-            parser=arguments.parse_positive,
-            metavar="FPS",
-            help="frames of the clip in a second",
-            rich_help_panel=PLAYBACK,
-        ),
+        option(PLAYBACK, "frames of the clip in a second", value="FPS", parse=parse_positive),
     ] = 8.0,
-    ping_pong: Annotated[
-        bool,
-        typer.Option("--ping-pong", help="forwards, then backwards", rich_help_panel=PLAYBACK),
-    ] = False,
+    ping_pong: Annotated[bool, flag(PLAYBACK, "--ping-pong", "forwards, then backwards")] = False,
     repeat: Annotated[
         int | None,
-        typer.Option(
+        option(
+            PLAYBACK,
+            "times an MP4 plays; default: until 4 s have passed; a WebP plays for ever",
             min=1,
-            help="times an MP4 plays; default: until 4 s have passed; a WebP plays for ever",
-            rich_help_panel=PLAYBACK,
         ),
     ] = None,
-    formats: Annotated[
-        list[str] | None,
-        typer.Option(
-            "--format",
-            metavar="NAMES",
-            help="webp, mp4 or both; mp4 needs the extra video; default: webp",
-            rich_help_panel=options.OUTPUT,
-        ),
-    ] = None,
-    quality: Annotated[
-        int,
-        typer.Option(min=0, max=100, help="of WebP", rich_help_panel=options.OUTPUT),
-    ] = 90,
-    out: Annotated[
-        Path | None,
-        typer.Option(
-            file_okay=False,
-            metavar="FOLDER",
-            help="folder to write to; default: RESULTS/video",
-            rich_help_panel=options.OUTPUT,
-        ),
-    ] = None,
+    quality: Annotated[int, option(OUTPUT, "of WebP", min=0, max=100)] = 90,
 ) -> None:
     """Write videos of kept images, one for each clip and budget.
 
@@ -141,22 +95,17 @@ def video(
       rlbench video results -m ours,ntas --layout wipe --scenes city --format mp4,webp
       rlbench video results -m ours,ours/A2 --samples --slice 96 --ping-pong
     """
-    from rlbench import registry
-    from rlbench.benchmark.display_clips import display_clips
-    from rlbench.benchmark.missing_images import find_all_images
-    from rlbench.benchmark.results import read
-    from rlbench.benchmark.shown_clips import find_shown_clips
+    from reports.video import VideoStyle, check_formats, write
+    from rlbench.benchmark.cell_images import find_all_images
+    from rlbench.benchmark.shown_clips import display_clips, find_shown_clips
     from rlbench.cli import console
-    from rlbench.cli.decide import select_scenes
-    from rlbench.cli.view import find_sources, nearest_to_one
     from rlbench.system.paths import check_writable
 
     target = out or results / "video"
     check_writable(target)
-    module = registry.load_or_explain("videos", NAME)
-    suffixes = arguments.split_names(formats) or ["webp"]
-    module.check_formats(suffixes)
-    style = module.VideoStyle(
+    suffixes = split_names(formats) or ["webp"]
+    check_formats(suffixes)
+    style = VideoStyle(
         layout=layout,
         zoom=zoom,
         fps=fps,
@@ -166,14 +115,12 @@ def video(
         line=line,
         samples=samples,
         labels=labels,
-        titles=tuple(arguments.split_names(titles)),
+        titles=tuple(split_names(titles)),
         columns=columns,
         quality=quality,
     )
-    rows = read(results)
-    if names := arguments.split_names(scenes):
-        rows = select_scenes(rows, names, results)
-    names = _order_methods(rows, arguments.split_names(methods), results)
+    rows = read_rows(results, scenes=scenes)
+    names = _order_methods(rows, split_names(methods), results)
     budgets = spp or (nearest_to_one(set(rows["target_spp"])),)
     own_clips = set(rows.loc[rows["method"].isin(names), "clip"])
     kept = find_all_images(results, names, own_clips, budgets)
@@ -188,7 +135,7 @@ def video(
             file
             for clip in shown_clips
             for each in display_clips(clip, names, budgets, rows, reference)
-            for file in module.write(each, target, suffixes, style, on_picture)
+            for file in write(each, target, suffixes, style, on_picture)
         ]
     for file in files:
         typer.echo(file)
@@ -199,10 +146,8 @@ def _order_methods(rows: pd.DataFrame, names: list[str], results: Path) -> list[
 
     Raises OptionError for a name without rows.
     """
-    from rlbench.cli.reports import select_rows
-
     if names:
-        selected = (sorted(set(select_rows(rows, [name], results)["method"])) for name in names)
+        selected = (sorted(set(select_methods(rows, [n], results)["method"])) for n in names)
         return list(dict.fromkeys(method for group in selected for method in group))
     scores = rows[rows["metric"] == "psnr"].groupby("method")["value"].mean()
     return [str(method) for method in scores.sort_values().index]

@@ -4,12 +4,11 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, fields
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
-from rlbench.clips.header_limits import describe_value, find_violation
 from rlbench.errors import RlbenchError
 from rlbench.system.documents import decode, read_toml, write_toml
 
@@ -17,18 +16,27 @@ __all__ = [
     "OPTIONAL_BUFFERS",
     "FILE",
     "LIMITATIONS",
+    "LIMITS",
+    "MAX_PIXELS",
     "VERSION",
     "BUFFER_CHANNELS",
     "ClipError",
     "Header",
+    "is_plain_name",
     "read_header",
     "names_in_digests",
     "write_header",
 ]
 
+MAX_PIXELS = 2**26  # of an image: 8192 x 8192
+MAX_NAME_BYTES = 200  # of a name in UTF-8, so that it fits into a file name
+MAX_TEXT = 10_000  # characters of any other text
+NAMES = ("name", "scene")  # may have parts, as in street/mini
+TEXTS = ("preset", "sampler", "sampler_version", "licence", "device", "timed_with")
 VERSION = 2  # of the format
 FILE = "clip.toml"
 MAX_FILE_BYTES = 2**24  # of clip.toml
+MAX_JITTER = 2.0  # pixels, of the samples' offset
 STANDARD_BUFFERS = {"albedo": 3, "normal": 3, "depth": 1, "motion": 2}  # channels of each
 OPTIONAL_BUFFERS = {  # channels of the buffers that only some clips have
     "object": 1,
@@ -52,12 +60,50 @@ LIMITATIONS = {  # what an imported clip may not have, although the format requi
         f"no {name}": f"the source has no {name}, so {name} is a constant without information"
         for name in STANDARD_BUFFERS
     },
+    "reference jitter": "the reference is moved within the pixel as the samples are, so it shakes",
+    "sky motion": "the source has no motion of the sky, so it points outside the image",
     "flow": "motion was estimated by optical flow of albedo, because the source has none",
 }
 NAMES_IN_DIGESTS = {
     "normal_psr": "normal_behind",
     "depth_psr": "depth_behind",
     "object_psr": "object_behind",
+}
+
+
+class Limits(NamedTuple):
+    """The range of a number, ends included; for a list, the range of each of its numbers."""
+
+    lowest: float
+    highest: float
+    allows_nan: bool = False  # nan: unknown
+
+    def allow(self, value: float) -> bool:
+        """Whether a value is in the range."""
+        return self.lowest <= value <= self.highest or (self.allows_nan and math.isnan(value))
+
+    def __str__(self) -> str:
+        """The range for a message."""
+        suffix = ", or nan for unknown" if self.allows_nan else ""
+        return f"{self.lowest:.10g} to {self.highest:.10g}{suffix}"
+
+
+LIMITS = {
+    "height": Limits(1, 2**16),  # pixels
+    "width": Limits(1, 2**16),  # pixels
+    "frames": Limits(1, 100_000),
+    "fps": Limits(1e-6, 1e6),
+    "seed": Limits(0, 2**63 - 1),
+    "exposure": Limits(1e-12, 1e12),
+    "pool_spp": Limits(1, 1024),
+    "radiance_cap": Limits(1e-12, math.inf),
+    "reference_spp": Limits(0, 2**31 - 1),
+    "noise_ceiling_db": Limits(-1000, 1000),
+    "sample_ms": Limits(0, 1e12, allows_nan=True),
+    "pools_ms": Limits(0, 1e12, allows_nan=True),
+    "sample_p5_ms": Limits(0, 1e12),
+    "sample_p95_ms": Limits(0, 1e12),
+    "gbuffer_ms": Limits(0, 1e12),
 }
 
 
@@ -97,6 +143,8 @@ class Header:
         missing_files: files of the scene that did not exist, so their shapes or textures are left
             out.
         static: neither camera nor objects move; such a clip has no motion buffer.
+        jitter: offset of the samples of each frame from the centre of a pixel, pixels, x right, y
+            down; empty where the camera is not jittered. Motion is without it.
         cuts: frames that begin a new shot, from 1 to `frames - 1`; all their motion points outside
             the image.
         light_changes: frames from which on the lights differ from those of the frame before, from 1
@@ -135,6 +183,7 @@ class Header:
     limitations: tuple[str, ...] = ()
     missing_files: tuple[str, ...] = ()
     static: bool = False
+    jitter: tuple[tuple[float, float], ...] = ()
     cuts: tuple[int, ...] = ()
     light_changes: tuple[int, ...] = ()
     licence: str = ""
@@ -163,6 +212,7 @@ class Header:
         expected = {
             "reference_spp": ("frames", {self.frames}),
             "noise_ceiling_db": ("frames", {0, self.frames}),
+            "jitter": ("frames", {0, self.frames}),
             "pools_ms": ("pools", {0, len(self.pools)}),
         }
         for key, (items, counts) in expected.items():
@@ -179,6 +229,10 @@ class Header:
             )
 
     def _check_events(self) -> None:
+        if any(not abs(value) <= MAX_JITTER for offset in self.jitter for value in offset):
+            raise ClipError(
+                f"clip '{self.name}': jitter is outside -{MAX_JITTER:g} to {MAX_JITTER:g} pixels"
+            )
         if self.cuts and (self.static or not set(self.cuts) <= set(range(1, self.frames))):
             raise ClipError(
                 f"clip '{self.name}': cuts are {list(self.cuts)}; expected frames from 1 to "
@@ -236,6 +290,8 @@ def write_header(folder: Path, header: Header) -> None:
     values = {field.name: getattr(header, field.name) for field in fields(Header)}
     if not header.missing_files:
         del values["missing_files"]  # only a scene by others may lack files
+    if not header.jitter:
+        del values["jitter"]  # only an engine's camera is jittered
     write_toml(folder / FILE, {"version": VERSION} | values)
 
 
@@ -289,3 +345,55 @@ def _list_clips(parent: Path) -> str:
         return f"the folder {parent} does not exist either"
     names = sorted(path.parent.name for path in parent.glob(f"*/{FILE}"))
     return f"clips in {parent}: {', '.join(names) or 'none'}"
+
+
+def find_violation(fields: Any) -> str | None:
+    """The first field outside its limits, what it is and what it must be; None if there is none."""
+    for key, limits in LIMITS.items():
+        value = getattr(fields, key)
+        for number in value if isinstance(value, tuple) else (value,):
+            if not limits.allow(number):
+                listed = "lists" if isinstance(value, tuple) else "is"
+                return f"{key} {listed} {describe_value(number)}, expected {limits}"
+    if (pixels := fields.height * fields.width) > MAX_PIXELS:
+        return f"height x width is {pixels} pixels, expected at most {MAX_PIXELS}"
+    return _find_unsafe_text(fields)
+
+
+def _find_unsafe_text(fields: Any) -> str | None:
+    parts = [(key, part) for key in NAMES for part in getattr(fields, key).split("/")]
+    for key, name in [*parts, *(("pools", pool) for pool in fields.pools)]:
+        if not is_plain_name(name) or (key == "pools" and " " in name):
+            return (
+                f"{key} has {describe_value(name)}, expected letters, digits and . _ + - @ alone, "
+                f"in at most {MAX_NAME_BYTES} bytes"
+            )
+    for key in (*NAMES, *TEXTS):
+        most = MAX_NAME_BYTES if key in NAMES else MAX_TEXT
+        if (length := len(getattr(fields, key).encode(errors="replace"))) > most:
+            return f"{key} has {length} bytes, expected at most {most}"
+    return _find_duplicate("buffers", fields.buffers) or _find_duplicate("pools", fields.pools)
+
+
+def is_plain_name(name: str) -> bool:
+    """Whether a name is safe as a file name: no folder, no control character, not only dots.
+
+    >>> is_plain_name("hall-cut"), is_plain_name("../hall"), is_plain_name("..")
+    (True, False, False)
+    """
+    is_short = len(name.encode(errors="replace")) <= MAX_NAME_BYTES
+    return is_short and bool(re.fullmatch(r"[\w .+@-]+", name) and name.strip(". "))
+
+
+def describe_value(value: Any) -> str:
+    """A value for a message, shortened to 80 characters."""
+    try:
+        text = repr(value)
+    except ValueError:  # Python converts no integer of more than 4300 digits
+        return "an integer of more than 4300 digits"
+    return text if len(text) <= 80 else f"{text[:77]}..."
+
+
+def _find_duplicate(key: str, words: Sequence[str]) -> str | None:
+    twice = sorted({word for word in words if words.count(word) > 1})
+    return f"{key} lists {', '.join(twice)} twice" if twice else None

@@ -1,4 +1,4 @@
-"""A clip whose frames are tensors in memory, stored or computed when they are read."""
+"""Clips in memory: of tensors, of frames computed when they are read, or of another clip's."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from functools import cached_property
 from typing import overload
 
-from rlbench.frames import Frame, Size
+from rlbench.frames import Clip, Frame, Size
 
 
 @dataclass(frozen=True)
@@ -53,3 +53,38 @@ class ComputedFrames(Sequence[Frame]):
         if isinstance(index, slice):
             return tuple(map(self.compute, range(self.length)[index]))
         return self.compute(range(self.length)[index])
+
+
+@dataclass(frozen=True)
+class ClipWrapper:
+    """A clip that forwards everything to another clip; override the members that differ."""
+
+    clip: Clip
+
+    @property
+    def name(self) -> str:
+        """Name of the clip."""
+        return self.clip.name
+
+    @property
+    def scene(self) -> str:
+        """Name of the scene."""
+        return self.clip.scene
+
+    @property
+    def size(self) -> Size:
+        """Number of clips in the batch, height and width."""
+        return self.clip.size
+
+    @property
+    def digest(self) -> str:
+        """Hash of the content."""
+        return self.clip.digest
+
+    def __len__(self) -> int:
+        """Number of frames."""
+        return len(self.clip)
+
+    def __iter__(self) -> Iterator[Frame]:
+        """The frames in order."""
+        return iter(self.clip)

@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
 from functools import cached_property
+from itertools import islice
 from pathlib import Path
 
 import numpy as np
@@ -26,6 +27,7 @@ __all__ = [
     "Header",
     "InMemoryClip",
     "StoredClip",
+    "find_all_clips",
     "find_clips",
     "has_frame",
     "open_clip",
@@ -36,6 +38,8 @@ __all__ = [
     "write_header",
 ]
 
+MAX_FILES = 10_000  # that are looked at in a folder without a clip, so that the error comes at once
+FRAMES = (".exr", ".pfm", ".zip")  # files from which rlbench import makes clips
 DEFAULT_INPUTS = frozenset(BUFFERS)
 FULL_WINDOW = (slice(None), slice(None))
 
@@ -213,3 +217,44 @@ def find_clips(folder: Path) -> list[Path]:
     if not clips:
         raise ClipError(f"no clip in {folder}; a clip is a folder that contains {FILE}")
     return clips
+
+
+def find_all_clips(folders: Iterable[Path | str]) -> list[Path]:
+    """The clip folders at or directly below each of these folders.
+
+    Raises ClipError for a folder that does not exist, and for one without a clip; the message says
+    whether it holds frames to import.
+    """
+    return [clip for folder in folders for clip in _find(Path(folder))]
+
+
+def _find(folder: Path) -> list[Path]:
+    if not folder.is_dir():
+        what = "is a file" if folder.exists() else "does not exist"
+        raise ClipError(f"{folder} {what}. Name a folder that holds clips: each has a {FILE}")
+    try:
+        return find_clips(folder)
+    except ClipError as error:
+        if deeper := _parents_of_clips(folder):
+            raise ClipError(
+                f"{folder} holds clips further down. Name the folders that hold them: "
+                f"{', '.join(deeper)}"
+            ) from error
+        if name := next(_frames(folder), ""):
+            raise ClipError(
+                f"{folder} holds {name} files and no clip. To make clips of them: "
+                f"rlbench import {folder} --layout NAME --out FOLDER; to find the layout: "
+                f"rlbench lint --guess {folder}"
+            ) from error
+        raise
+
+
+def _parents_of_clips(folder: Path) -> list[str]:
+    """The folders below that hold clips, sorted."""
+    files = islice(folder.rglob("*"), MAX_FILES)
+    return sorted({str(file.parents[1]) for file in files if file.name == FILE})
+
+
+def _frames(folder: Path) -> Iterator[str]:
+    files = islice(folder.rglob("*"), MAX_FILES)
+    return (file.suffix[1:].upper() for file in files if file.suffix.lower() in FRAMES)

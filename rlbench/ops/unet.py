@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from typing import NamedTuple
-
 import torch
 from jaxtyping import Float
 from torch import Tensor, nn
@@ -11,42 +9,12 @@ from torch.nn import functional as F
 
 from rlbench.ops.init import kaiming_init
 from rlbench.ops.memory_format import to_channels_last
+from rlbench.ops.unet_widths import BASE_WIDTHS, UNetWidths
 from rlbench.ops.upsample import UpsampleConcatConv
 
-__all__ = [
-    "BASE_WIDTHS",
-    "FAST_WIDTHS",
-    "SMALL_WIDTHS",
-    "STRIDE",
-    "FeatureUNet",
-    "UNet",
-    "UNetWidths",
-]
+__all__ = ["STRIDE", "FeatureUNet", "UNet"]
 
 STRIDE = 16  # both sides of the input must be multiples of this: four poolings
-
-
-class UNetWidths(NamedTuple):
-    """Output channels of each convolution; a decoder level has two convolutions, `a` and `b`."""
-
-    enc1: int  # enc_conv0 and enc_conv1, full resolution
-    enc2: int  # 1/2
-    enc3: int  # 1/4
-    enc4: int  # 1/8
-    enc5: int  # enc_conv5a and enc_conv5b, 1/16
-    dec4: tuple[int, int]  # 1/8
-    dec3: tuple[int, int]  # 1/4
-    dec2: tuple[int, int]  # 1/2
-    dec1: tuple[int, int]  # full resolution
-
-
-BASE_WIDTHS = UNetWidths(
-    32, 48, 64, 80, 96, (112, 112), (96, 96), (64, 64), (64, 32)
-)  # OIDN "balanced"
-FAST_WIDTHS = UNetWidths(32, 32, 32, 32, 32, (64, 64), (64, 64), (64, 32), (32, 32))  # OIDN "fast"
-SMALL_WIDTHS = UNetWidths(
-    32, 24, 32, 40, 48, (56, 56), (48, 48), (32, 32), (32, 16)
-)  # OIDN "balanced" / 2, except enc1
 
 
 class UNet(nn.Module):

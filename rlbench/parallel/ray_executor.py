@@ -2,19 +2,29 @@
 
 If a worker dies (killed, out of memory, its machine lost), Ray runs its job again, at most
 `max_retries` times. Jobs carry their data with them; files that they name must lie under the same
-path on every machine, and rlbench must be installed there.
+path on every machine, and rlbench must be installed there. A worker runs jobs in the environment of
+the process that submitted them.
 """
 
 from __future__ import annotations
 
 import contextlib
 import importlib
+import logging
+import os
+import platform
+import sys
+import sysconfig
+import traceback
 import uuid
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
+from functools import lru_cache
+from pathlib import Path
 from typing import Any
 
-from rlbench.parallel import ray_cluster, worker
+import torch
+
 from rlbench.parallel.executor import (
     LOCAL,
     ONE_CPU,
@@ -28,12 +38,33 @@ from rlbench.parallel.executor import (
     Work,
     ignore_progress,
 )
-from rlbench.parallel.ray_cluster import QUIET_ENVIRONMENT, import_ray
+from rlbench.registry import (
+    GROUPS,
+    clear_plugins,
+    discovery,
+    exits_as_errors,
+    plugin_files,
+    use_plugin,
+)
+from rlbench.registry.failure import keep_frames
+from rlbench.system import code_hash, provenance
 
-__all__ = ["EXECUTORS", "QUIET_ENVIRONMENT", "RayExecutor", "open_executor"]
+__all__ = ["EXECUTORS", "QUIET_ENVIRONMENT", "RayExecutor", "WorkerEnvironment", "open_executor"]
 
 EXECUTORS = ("local", "ray")
 JOBS_PER_SLOT = 2  # submitted for each that can run, so that no worker waits for this process
+MAX_RETRIES = 3  # of a job whose worker died
+QUIET_ENVIRONMENT = {
+    "RAY_USAGE_STATS_ENABLED": "0",  # by default Ray reports usage statistics
+    "RAY_USAGE_STATS_PROMPT_ENABLED": "0",
+    "RAY_ENABLE_UV_RUN_RUNTIME_ENV": "0",  # else `uv run` packs and sends the working directory
+    "RAY_ACCEL_ENV_VAR_OVERRIDE_ON_ZERO": "0",  # else Ray warns that this will be the default
+    "RAY_enable_metrics_collection": "0",
+    "RAY_worker_niceness": "0",  # times are measured at normal priority
+    "RAY_task_oom_retries": str(MAX_RETRIES),  # by default Ray retries without end
+}
+PREFIX = "RLBENCH_"  # of the environment variables that a worker takes over
+THREADS = f"{PREFIX}THREADS"  # of the path tracer
 
 
 @contextlib.contextmanager
@@ -64,7 +95,7 @@ class RayExecutor:
     """Runs jobs on the workers of a Ray cluster. Starting or joining it takes some seconds."""
 
     address: str | None = None  # auto or host:port; None starts Ray on this machine
-    max_retries: int = ray_cluster.MAX_RETRIES  # of a job whose worker died
+    max_retries: int = MAX_RETRIES  # of a job whose worker died
     exclusive: bool = False
 
     def __post_init__(self) -> None:
@@ -79,8 +110,8 @@ class RayExecutor:
     @property
     def description(self) -> str:
         """Number of machines and processors of the cluster."""
-        ray_cluster.start(self.address)
-        machines = ray_cluster.machines()
+        _start_ray(self.address)
+        machines = _list_machines()
         cpus = sum(int(resources["CPU"]) for resources in machines.values())
         location = "this machine" if len(machines) == 1 else f"{len(machines)} machines"
         return f"Ray on {location} with {cpus} processors"
@@ -91,7 +122,7 @@ class RayExecutor:
 
     def close(self) -> None:
         """Stop the Ray started here, or leave the cluster joined."""
-        ray_cluster.close()
+        _stop_ray()
 
     def map(
         self,
@@ -104,7 +135,7 @@ class RayExecutor:
         if not jobs:
             return
         ray = import_ray()
-        ray_cluster.start(self.address)
+        _start_ray(self.address)
         submit, limit = self._submitter(work, resources)
         queue = list(reversed(jobs))
         pending: dict[Any, J] = {}  # jobs by Ray's references to their replies
@@ -129,16 +160,16 @@ class RayExecutor:
     def _submitter(self, work: Work[J, R], resources: Resources) -> tuple[Callable[[J], Any], int]:
         """A function that submits a job, and the number of jobs that may be pending."""
         ray = import_ray()
-        machines = ray_cluster.machines()
+        machines = _list_machines()
         if resources.gpus and not any(m.get("GPU", 0) >= resources.gpus for m in machines.values()):
             raise ExecutorError(
                 f"a job takes {resources.gpus} GPU, and no machine of the Ray cluster has as many"
             )
         cpus, limit, strategy = self._placement(machines, resources)
-        environment = worker.WorkerEnvironment.of_this_process(cpus)
+        environment = WorkerEnvironment.of_this_process(cpus)
         name, dumps = uuid.uuid4().hex, ray.cloudpickle.dumps
         # in a list, so that Ray does not fetch and unpickle the bundle for every job
-        bundle = [ray.put(worker.TaskBundle(name, environment, dumps(work)))]
+        bundle = [ray.put(TaskBundle(name, environment, dumps(work)))]
         remote = ray.remote(_run_job).options(
             num_cpus=cpus,
             num_gpus=resources.gpus,
@@ -164,7 +195,7 @@ class RayExecutor:
     def _lost(self, error: Exception) -> ExecutorError:
         """The error of a job without a reply: its workers died, or it could not be sent."""
         lines = str(error).strip().splitlines() or [""]
-        if isinstance(error, ray_cluster.worker_deaths()):
+        if isinstance(error, _worker_deaths()):
             reason = f"{type(error).__name__}: {lines[0]}"
             times = self.max_retries + 1
             return ExecutorError(f"its worker died {times} times, the last time of {reason}")
@@ -173,11 +204,11 @@ class RayExecutor:
         return lost
 
 
-def _run_job(bundle: list[Any], name: str, job: bytes) -> worker.JobReply:
+def _run_job(bundle: list[Any], name: str, job: bytes) -> JobReply:
     """Run one job, in a worker."""
     ray = import_ray()
     pickle = ray.cloudpickle
-    reply = worker.run_job(lambda: ray.get(bundle[0]), name, job, pickle.loads)
+    reply = run_job(lambda: ray.get(bundle[0]), name, job, pickle.loads)
     try:
         pickle.loads(pickle.dumps(reply.error))
     except Exception:  # an error that cannot be pickled is sent as text
@@ -185,3 +216,186 @@ def _run_job(bundle: list[Any], name: str, job: bytes) -> worker.JobReply:
         reply.error = ExecutorError(f"{type(reply.error).__name__}: {reply.error}")
         reply.error.__notes__ = [*notes]
     return reply
+
+
+def _start_ray(address: str | None) -> None:
+    """Join the cluster at `address`, or start Ray on this machine; does nothing the second time.
+
+    Raises ExecutorError.
+    """
+    ray = import_ray()
+    if ray.is_initialized():
+        return
+    local_only = {} if address else {"num_cpus": provenance.machine().cores}
+    try:
+        ray.init(
+            address=address or "local",
+            include_dashboard=None if address else False,
+            log_to_driver=False,
+            logging_level=logging.ERROR,
+            **local_only,
+        )
+    except Exception as error:  # Ray raises plain exceptions too, for example on a busy machine
+        failure = f"no Ray cluster at {address}" if address else "Ray did not start"
+        reason = (str(error).splitlines() or [""])[0]
+        raise ExecutorError(f"{failure}: {type(error).__name__}: {reason}") from error
+
+
+def _stop_ray() -> None:
+    """Stop the Ray started here, or leave the cluster joined."""
+    ray = import_ray()
+    if ray.is_initialized():
+        with contextlib.redirect_stdout(sys.stderr):  # stdout is for results
+            ray.shutdown()
+
+
+def import_ray() -> Any:
+    """The module `ray`; its environment variables must be set before it is imported."""
+    os.environ.update(QUIET_ENVIRONMENT)
+    try:
+        return importlib.import_module("ray")
+    except ImportError as error:
+        raise ExecutorError(
+            f'--engine ray needs Ray, which is not installed ({error}): pip install "rlbench[ray]"'
+        ) from error
+
+
+def _list_machines() -> dict[str, dict[str, float]]:
+    """Resources of the machines that have processors, by Ray's ids. Raises ExecutorError."""
+    nodes = [node for node in import_ray().nodes() if node["Alive"]]
+    resources = {node["NodeID"]: node["Resources"] for node in nodes}
+    usable = {name: machine for name, machine in resources.items() if machine.get("CPU", 0) >= 1}
+    if not usable:
+        raise ExecutorError(f"none of the {len(nodes)} machines of the Ray cluster has processors")
+    return usable
+
+
+def _worker_deaths() -> tuple[type[Exception], ...]:
+    """Ray's errors for a worker that died, so that another one may succeed."""
+    errors = import_ray().exceptions
+    return (
+        errors.WorkerCrashedError,
+        errors.OutOfMemoryError,
+        errors.NodeDiedError,
+        errors.ObjectLostError,
+        errors.LocalRayletDiedError,
+    )
+
+
+Unpickle = Callable[[bytes], Any]  # Ray's own, for data that Ray itself has sent
+
+
+@dataclass(frozen=True)
+class WorkerEnvironment:
+    """The submitter's settings on which results depend beside the job.
+
+    Ray starts workers with `variables` (see `runtime_env`). The rest is applied in the worker,
+    since Ray cannot: it copies a working directory, so that relative paths of outputs would be
+    lost, it cannot unset a variable, and its set-up hook is the same for all jobs of a session.
+    """
+
+    variables: dict[str, str]
+    folder: str  # the working directory
+    plugins: tuple[Path, ...]  # files given with --plugin
+    code_version: str  # see `code_version`
+
+    @staticmethod
+    def of_this_process(cpus: int) -> WorkerEnvironment:
+        """The settings of this process, for workers with `cpus` CPUs each."""
+        settings = {name: value for name, value in os.environ.items() if name.startswith(PREFIX)}
+        return WorkerEnvironment(
+            variables={
+                THREADS: str(cpus),
+                "OMP_NUM_THREADS": str(torch.get_num_threads()),  # of torch, in the worker
+                "PYTHONPATH": os.pathsep.join(_module_folders()),
+                **settings,
+            },
+            folder=os.getcwd(),
+            plugins=plugin_files.plugin_files(),
+            code_version=code_version(),
+        )
+
+    def runtime_env(self) -> dict[str, Any]:
+        """The part that Ray sets when it starts a worker."""
+        return {"env_vars": self.variables}
+
+    def apply(self) -> None:
+        """Set the rest in this process. Raises ExecutorError if its code is another version."""
+        if code_version() != self.code_version:
+            raise ExecutorError(
+                f"{platform.node()} has {code_version()}, but the command was given on a machine "
+                f"with {self.code_version}. Install the same version on both"
+            )
+        if os.path.isdir(self.folder):
+            os.chdir(self.folder)
+        for name in [name for name in os.environ if name.startswith(PREFIX)]:
+            if name not in self.variables:
+                del os.environ[name]
+        clear_plugins()
+        for file in self.plugins:
+            use_plugin(file)
+
+
+@dataclass(frozen=True)
+class TaskBundle:
+    """Work with its environment, sent to a worker once for all of its jobs."""
+
+    name: str  # unique
+    environment: WorkerEnvironment
+    work: bytes  # pickled
+
+
+@dataclass
+class JobReply:
+    """The reply of a worker: the value of the job, or the error that it raised."""
+
+    value: Any = None
+    error: Exception | None = None
+    progress: float = 0.0  # the sum of what the work reported
+
+
+@dataclass
+class _LoadedWork:
+    """The work that this process has unpickled last, kept for its next job."""
+
+    name: str = ""
+    work: Any = field(default=None, repr=False)
+
+
+_loaded = _LoadedWork()
+
+
+def run_job(fetch: Callable[[], TaskBundle], name: str, job: bytes, loads: Unpickle) -> JobReply:
+    """Run a pickled job with the work of the bundle `name`, fetched unless it is loaded."""
+    progress: list[float] = []
+    try:
+        if _loaded.name != name:
+            _loaded.name, _loaded.work = "", None  # frees memory before the next work is loaded
+            bundle = fetch()
+            bundle.environment.apply()
+            _loaded.name, _loaded.work = name, loads(bundle.work)
+        with exits_as_errors():
+            value = _loaded.work(loads(job), progress.append)
+    except Exception as error:  # of any type: the submitter gets it
+        keep_frames(error)
+        error.add_note(f"in a worker on {platform.node()}:\n{traceback.format_exc()}")
+        return JobReply(error=error)
+    return JobReply(value, progress=sum(progress))
+
+
+@lru_cache(maxsize=1)
+def code_version() -> str:
+    """Versions that decide results, and a hash of rlbench and of the installed plugins."""
+    targets = {entry.target for group in GROUPS for entry in discovery.installed_entries(group)}
+    packages = {"rlbench", *(target.partition(":")[0].partition(".")[0] for target in targets)}
+    versions = " ".join(f"{name} {version}" for name, version in provenance.versions().items())
+    return f"{versions}, code {code_hash.code_hash(packages, core=())}"
+
+
+def _module_folders() -> list[str]:
+    """The folders of `sys.path` that a Python process does not search by itself."""
+    installed = tuple(
+        sysconfig.get_path(name) for name in ("stdlib", "platstdlib", "purelib", "platlib")
+    )
+    folders = map(os.path.abspath, sys.path)
+    return [path for path in folders if os.path.exists(path) and not path.startswith(installed)]

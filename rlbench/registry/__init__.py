@@ -1,7 +1,6 @@
 """Plugins by name: methods, metrics, reports, pools and scenes, imported when they are used."""
 
 from rlbench.errors import PluginError
-from rlbench.registry.demo import demo_methods
 from rlbench.registry.discovery import (
     GROUPS,
     METHODS_VARIABLE,
@@ -32,7 +31,12 @@ from rlbench.registry.methods import (
     with_broken,
 )
 from rlbench.registry.plugin_code import PluginExitError, exits_as_errors
-from rlbench.registry.plugin_files import clear_plugins, plugin_file, use_plugin
+from rlbench.registry.plugin_files import (
+    clear_plugins,
+    plugin_file,
+    plugin_file_methods,
+    use_plugin,
+)
 from rlbench.registry.stand_ins import import_failure
 
 __all__ = [
@@ -42,7 +46,6 @@ __all__ = [
     "PluginError",
     "PluginExitError",
     "clear_plugins",
-    "demo_methods",
     "list_entries",
     "exits_as_errors",
     "expand",
@@ -60,6 +63,7 @@ __all__ = [
     "list_plugins",
     "method_code_hash",
     "plugin_file",
+    "plugin_file_methods",
     "resolve",
     "shipped_weights",
     "training_task",

@@ -48,8 +48,7 @@ __all__ = [
 ]
 
 GROUPS = (
-    "methods", "metrics", "reports", "pools", "scenes", "stress", "decisions",
-    "comparisons", "pages", "image_reports", "demo", "videos",
+    "methods", "metrics", "reports", "image_reports", "pools", "scenes", "stress",
 )  # fmt: skip
 _logger = logging.getLogger(__name__)
 

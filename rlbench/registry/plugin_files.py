@@ -20,6 +20,7 @@ __all__ = [
     "file_entries",
     "import_file",
     "plugin_file",
+    "plugin_file_methods",
     "plugin_files",
     "python_file",
     "use_plugin",
@@ -109,6 +110,11 @@ def file_entries(file: Path) -> list[PluginEntry]:
     except Exception as error:  # the plugin is listed, and raises this error when it is loaded
         return [PluginEntry(name, str(file), origin, partial(_raise, error))]
     return [PluginEntry(f.name, f"{file}:{f.name}", origin, partial(_same, f)) for f in families]
+
+
+def plugin_file_methods() -> list[str]:
+    """Names of the families that the files given with `--plugin` define."""
+    return [entry.name for file in plugin_files() for entry in file_entries(file)]
 
 
 def import_file(file: Path) -> Any:

@@ -38,8 +38,6 @@ CORE = (
     "rlbench.clips.in_memory",
     "rlbench.clips.decode_cache",
     "rlbench.clips.exr",
-    "rlbench.clips.exr_header",
-    "rlbench.clips.cached_array",
     "rlbench.benchmark.clip_sources",
     "rlbench.weights",
 )  # modules of rlbench that decide the image a method makes of a clip, whatever it imports itself

@@ -21,13 +21,10 @@ __all__ = ["decode", "read_json", "read_toml", "to_toml", "unknown_keys", "write
 T = TypeVar("T")
 
 
-def decode(
-    document: Mapping[str, Any], kind: type[T], *, renamed: Mapping[str, str] | None = None
-) -> T:
+def decode(document: Mapping[str, Any], kind: type[T]) -> T:
     """Decode a document into a dataclass of type `kind`; keys without a field are ignored.
 
-    `renamed` maps the keys of older documents to the fields of today. A list becomes a tuple, and
-    an int a float, where the field has that type.
+    A list becomes a tuple, and an int a float, where the field has that type.
 
     >>> from rlbench.system.provenance import Machine
     >>> decode({"cpu": "EPYC", "cores": 4, "gpu": "", "os": "Linux"}, Machine).cores
@@ -36,21 +33,22 @@ def decode(
     Raises ValueError, naming the key, for a value of another type, a missing key, and a value that
     the dataclass itself refuses with a ValueError.
     """
-    return msgspec.convert(_rename(document, renamed), kind)
+    return msgspec.convert(document, kind)
 
 
-def unknown_keys(
-    document: Mapping[str, Any], kind: type, *, renamed: Mapping[str, str] | None = None
-) -> list[str]:
+def unknown_keys(document: Mapping[str, Any], kind: type) -> list[str]:
     """The keys of a document for which the dataclass `kind` has no field, sorted."""
     fields = {field.name for field in dataclasses.fields(kind)}
-    return sorted(_rename(document, renamed).keys() - fields)
+    return sorted(document.keys() - fields)
 
 
 def read_toml(path: Path) -> dict[str, Any]:
-    """Read a TOML file. Raises ValueError for a file that is not TOML in UTF-8."""
+    """Read a TOML file. Raises ValueError for a file that is not TOML in UTF-8.
+
+    A byte-order mark, which editors of Windows write, is skipped.
+    """
     try:
-        return tomllib.loads(path.read_text(encoding="utf-8"))
+        return tomllib.loads(path.read_text(encoding="utf-8-sig"))
     except (ValueError, RecursionError) as error:  # no TOML, not UTF-8, or nested too deeply
         raise ValueError(f"{path} is not TOML: {error}") from error
 
@@ -75,7 +73,3 @@ def write_toml(path: Path, document: Mapping[str, Any]) -> None:
     """Write a document to a TOML file atomically."""
     with atomic_write(path) as temporary:
         temporary.write_text(to_toml(document), encoding="utf-8")
-
-
-def _rename(document: Mapping[str, Any], renamed: Mapping[str, str] | None) -> dict[str, Any]:
-    return {(renamed or {}).get(key, key): value for key, value in document.items()}

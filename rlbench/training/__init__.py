@@ -1,9 +1,8 @@
 """Training of learned methods: the same loop, clips and schedule for every method.
 
 A learned method provides a `TrainingTask` (see `rlbench.training.task` for a guide with an
-example). Three functions work with it: `train` trains the method and writes its weights,
-`find_learning_rate` runs a learning-rate range test, and `replay_sequence` repeats a sequence that
-stopped a training run. The names below are imported on first use, so that importing this package
+example). `train` trains the method and writes its weights, and `find_learning_rate` runs a
+learning-rate range test. The names below are imported on first use, so that importing this package
 does not import torch.
 """
 
@@ -24,16 +23,14 @@ __all__ = [
     "find_learning_rate",
     "kuznetsov_gradient",
     "relaxed_counts",
-    "replay_sequence",
     "train",
 ]
 
 if TYPE_CHECKING:
+    from rlbench.training.checkpoint import Progress
     from rlbench.training.config import TrainingConfig
     from rlbench.training.loop import TrainingResult, train
-    from rlbench.training.lr_range_test import LrRangeResult, find_learning_rate
-    from rlbench.training.progress import Progress
-    from rlbench.training.replay import replay_sequence
+    from rlbench.training.lr_find import LrRangeResult, find_learning_rate
     from rlbench.training.surrogate_gradient import (
         SampleGradient,
         SurrogateGradient,
@@ -47,11 +44,10 @@ else:
     __getattr__, __dir__, _ = lazy_loader.attach(
         __name__,
         submod_attrs={
+            "checkpoint": ["Progress"],
             "config": ["TrainingConfig"],
             "loop": ["TrainingResult", "train"],
-            "lr_range_test": ["LrRangeResult", "find_learning_rate"],
-            "progress": ["Progress"],
-            "replay": ["replay_sequence"],
+            "lr_find": ["LrRangeResult", "find_learning_rate"],
             "surrogate_gradient": [
                 "SampleGradient",
                 "SurrogateGradient",

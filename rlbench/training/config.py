@@ -14,15 +14,6 @@ START_FACTOR, END_FACTOR = 1 / 25, 1e-4  # first and last learning rate, relativ
 
 DEFAULTS: dict[str, object] = {"spp": [], "mix": 0.0, "keep": "last"}  # not stored
 
-RENAMED_KEYS = {  # in checkpoints and model cards written before the fields were renamed
-    "length": "sequence_length",
-    "average": "ema_decay",
-    "norm": "max_grad_norm",
-    "half": "bf16",
-    "every": "eval_interval",
-    "peak": "max_lr",
-}
-
 
 @dataclass(frozen=True)
 class TrainingConfig:
@@ -47,10 +38,10 @@ class TrainingConfig:
     def from_dict(cls, stored: Mapping[str, Any]) -> TrainingConfig:
         """The config in a stored dictionary, such as the JSON of a model card.
 
-        Accepts keys from before the fields were renamed. Ignores keys that are no field.
+        Ignores keys that are no field.
         """
         names = {field.name for field in fields(cls)}
-        values = {key: value for key, value in rename_keys(stored).items() if key in names}
+        values = {key: value for key, value in stored.items() if key in names}
         return cls(**values | {"spp": tuple(values.get("spp", ()))})
 
     def to_dict(self) -> dict[str, Any]:
@@ -82,8 +73,3 @@ class TrainingConfig:
         else:
             low, position = END_FACTOR, 1 - (fraction - WARM_UP_FRACTION) / (1 - WARM_UP_FRACTION)
         return low + (1.0 - low) * (1 - math.cos(math.pi * position)) / 2
-
-
-def rename_keys(stored: Mapping[str, Any]) -> dict[str, Any]:
-    """The same dictionary with the present names of renamed fields."""
-    return {RENAMED_KEYS.get(key, key): value for key, value in stored.items()}

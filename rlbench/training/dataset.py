@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
@@ -10,13 +10,9 @@ from rlbench.clips.header import FILE
 from rlbench.errors import OptionError
 from rlbench.registry.near_names import unknown_name
 from rlbench.render.jobs.render_clips import render_preset_clips
+from rlbench.render.presets import PRESETS
 from rlbench.system import paths
 from rlbench.training.own_clips import find_own_clips
-from rlbench.training.validation_sets import (
-    select_validation,
-    split_off_validation,
-    without_validation,
-)
 
 if TYPE_CHECKING:
     from rlbench.parallel.executor import Executor
@@ -27,8 +23,10 @@ __all__ = [
     "TrainingSplit",
     "count_unrendered",
     "select_split",
+    "select_validation",
     "split_generated",
     "split_holdout",
+    "split_off_validation",
     "split_quick",
 ]
 
@@ -37,10 +35,9 @@ QUICK_CLIPS, QUICK_SIDE = 10, 160  # clips, and pixels; as large as those of the
 QUICK_REMARK = "quick: trained on procedural clips, to try the training, not for results"
 ONE_CLIP_REMARK = "validated on the clip that it was trained on"
 VALIDATION_SEEDS = (0, 14)  # of generated scenes, for runs that are not trained on generated ones
-
-
 OWN = "clips"  # name of the validation set that is split off the user's own clips
 MAX_LISTED = 5  # clips in a message
+INTERVAL = 8  # every so many clips, one validates
 
 
 class TrainingSplit(NamedTuple):
@@ -139,6 +136,67 @@ def _join(
     return TrainingSplit(rendered or own, sets, remark, own if rendered else [])
 
 
+def select_validation(
+    words: Iterable[str],
+    pool_kinds: Collection[str] | None = None,
+    executor: Executor | None = None,
+) -> dict[str, list[Path]]:
+    """Validation sets of `[NAME=]FOLDER` or `[NAME=]PRESET`; a name that is given twice is one set.
+
+    A set is called after its preset, or after the last part of its folder. Missing clips of a
+    preset are rendered. Raises OptionError for a preset that is reported, and for a folder with a
+    clip of one, because a validation decides; ClipError for a folder without clips.
+    """
+    sets: dict[str, list[Path]] = {}
+    for word in words:
+        name, _, what = word.rpartition("=")
+        if what in PRESETS and not Path(what).exists():
+            _check_for_decisions(what)
+            folders = render_preset_clips(None, what, pool_kinds=pool_kinds, executor=executor)
+        else:
+            folders = find_own_clips([what], "decide")
+        known = sets.setdefault(name or Path(what).resolve().name, [])
+        known += [folder for folder in folders if folder not in known]
+    return sets
+
+
+def split_off_validation(clips: Sequence[Path]) -> tuple[list[Path], list[Path]]:
+    """Clips to train on, and every eighth clip, but at least one, to validate on.
+
+    A single clip is returned as both.
+
+    >>> train, validation = split_off_validation([Path(f"{n}") for n in range(1, 18)])
+    >>> len(train), [clip.name for clip in validation]
+    (15, ['8', '16'])
+    """
+    if len(clips) == 1:
+        return list(clips), list(clips)
+    chosen = list(clips[INTERVAL - 1 :: INTERVAL] or clips[-1:])
+    return [clip for clip in clips if clip not in chosen], chosen
+
+
+def without_validation(clips: Sequence[Path], sets: Mapping[str, Sequence[Path]]) -> list[Path]:
+    """The clips that are in none of the sets. Raises OptionError where that leaves none of some."""
+    validating = {folder.resolve() for folders in sets.values() for folder in folders}
+    train = [folder for folder in clips if folder.resolve() not in validating]
+    if clips and not train:
+        names = ", ".join(folder.name for folder in clips[:3]) + ", ..." * (len(clips) > 3)
+        raise OptionError(
+            f"all {len(clips)} clips to train on ({names}) validate, so none is left to train on. "
+            "Name others with --validate"
+        )
+    return train
+
+
+def _check_for_decisions(preset: str) -> None:
+    if "decide" not in PRESETS[preset].uses:
+        allowed = ", ".join(name for name, other in PRESETS.items() if "decide" in other.uses)
+        raise OptionError(
+            f"--validate {preset}: this is a reported test set, and a validation decides, for "
+            f"example when to stop. Choose clips of your own, or: {allowed}"
+        )
+
+
 def split_quick(pool_kinds: Collection[str]) -> TrainingSplit:
     """Procedural clips, which need no rendering: seconds at first use. The last two validate.
 
@@ -208,8 +266,6 @@ def _render(
 
 
 def _check_not_test_set(preset: str, seeds: tuple[int, ...] | None) -> None:
-    from rlbench.render.presets import PRESETS
-
     if seeds is None and preset in PRESETS and PRESETS[preset].is_test_set:
         allowed = ", ".join(name for name, other in PRESETS.items() if not other.is_test_set)
         scenes = ", ".join(PRESETS[preset].scenes) or "generated scenes"
@@ -239,8 +295,6 @@ def split_holdout(
     influences no decision. Missing clips are rendered. Raises OptionError if the preset has no such
     scene.
     """
-    from rlbench.render.presets import PRESETS
-
     scenes = PRESETS[preset].scenes if preset in PRESETS else ()
     if not scenes:
         allowed = ", ".join(name for name, other in PRESETS.items() if other.scenes)
@@ -252,10 +306,7 @@ def split_holdout(
         problem = f"no scene '{scene}' to hold out"
         raise OptionError(unknown_name(problem, scene, scenes, f": preset '{preset}' has"))
     folders = render_preset_clips(
-        [name for name in scenes if name != scene],
-        preset,
-        pool_kinds=pool_kinds,
-        executor=executor,
+        [name for name in scenes if name != scene], preset, pool_kinds=pool_kinds, executor=executor
     )
     validate = render_preset_clips(
         None, "train", seeds=VALIDATION_SEEDS, pool_kinds=pool_kinds, executor=executor

@@ -16,7 +16,7 @@ from pathlib import Path
 from typing import Any
 
 from rlbench.system import paths
-from rlbench.training.progress import Progress
+from rlbench.training.checkpoint import Progress
 from rlbench.training.run_folder import LOG, STATUS
 from rlbench.training.validation import ValidationResult
 
@@ -126,12 +126,8 @@ def _open_tensorboard(folder: Path, frames_seen: int) -> Any:
 def _truncate_log(log: Path, frames_seen: int) -> None:
     """Drop lines that were written after `frames_seen` frames, or are incomplete."""
     lines = log.read_text().splitlines(keepends=True) if log.exists() else []
-    valid = [line for line in lines if line.endswith("\n") and _frames_seen(line) <= frames_seen]
+    complete = [line for line in lines if line.endswith("\n")]
+    valid = [line for line in complete if json.loads(line)["frames_seen"] <= frames_seen]
     if valid != lines:
         with paths.atomic_write(log) as temporary:
             temporary.write_text("".join(valid))
-
-
-def _frames_seen(line: str) -> int:
-    entry = json.loads(line)
-    return int(entry["frames_seen"] if "frames_seen" in entry else entry["seen"])  # older logs

@@ -15,11 +15,11 @@ from rlbench import registry
 from rlbench.clips.in_memory import InMemoryClip
 from rlbench.clips.stored import open_clip
 from rlbench.system.process_settings import keep_freed_memory
-from rlbench.training import checkpoint, own_clips, replay, validation
+from rlbench.training import checkpoint, own_clips, validation
 from rlbench.training.batches import Batches, prefetch, sequence_budget
+from rlbench.training.checkpoint import Progress, combine_digests, describe_changes
 from rlbench.training.config import TrainingConfig
 from rlbench.training.logger import TrainingLogger
-from rlbench.training.progress import Progress, combine_digests, describe_changes
 from rlbench.training.run_folder import CHECKPOINT, weights_path
 from rlbench.training.task import TrainingError, TrainingTask
 from rlbench.training.train_state import NonFiniteStepError, TrainState
@@ -74,8 +74,7 @@ def train(
     Raises PluginError if the method has nothing to train, BatchError if the method cannot use a
     clip or no crops can be cut from it, and TrainingError if the method does not support a budget,
     if there is no validation set to keep the best weights by, if the checkpoint has a different
-    config, or if a loss or a gradient is not finite. In the last case the sequence is stored in a
-    file for `replay_sequence`.
+    config, or if a loss or a gradient is not finite.
     """
     check_budgets(method, config)
     sets = _name_sets(validation_clips)
@@ -100,7 +99,7 @@ def train(
             intervals, started = progress.frames_seen // config.eval_interval, time.monotonic()
             learning_rate = task.max_lr * config.lr_factor(progress.frames_seen)
             clip = sequence(progress.sequences)
-            loss = _train_sequence(method, state, clip, progress, out)
+            loss = _train_sequence(method, state, clip, progress)
             progress.seconds = time.monotonic() - began
             progress.frames_per_second = _count_frames(clip) / max(time.monotonic() - started, 1e-9)
             log.log_sequence(progress, loss, learning_rate)
@@ -164,10 +163,7 @@ def _describe(clips: Sequence[Path], pool: str) -> str:
 
 
 def _check_clips(
-    method: str,
-    batches: Batches,
-    sets: Mapping[str, Sequence[Path]],
-    budgets: Sequence[float],
+    method: str, batches: Batches, sets: Mapping[str, Sequence[Path]], budgets: Sequence[float]
 ) -> str:
     """Which training clips limit the budgets, after a warning; empty if none does.
 
@@ -211,8 +207,7 @@ def _start_or_resume(
         return Progress(config=requested)
     metadata, tensors = checkpoint.read(file)
     progress = Progress.from_dict(metadata)
-    trained = progress.config.setdefault("method", requested["method"])  # absent in old checkpoints
-    if trained != requested["method"]:
+    if (trained := progress.config.get("method")) != requested["method"]:
         raise TrainingError(
             f"{file} belongs to method '{trained}', but '{requested['method']}' was requested. "
             "Choose another --out"
@@ -229,7 +224,7 @@ def _start_or_resume(
 
 
 def _train_sequence(
-    method: str, state: TrainState, clip: InMemoryClip, progress: Progress, out: Path
+    method: str, state: TrainState, clip: InMemoryClip, progress: Progress
 ) -> float:
     """Train on the next sequence and advance the progress; returns the mean loss."""
     config, index = state.config, progress.sequences
@@ -239,13 +234,10 @@ def _train_sequence(
     try:
         loss = state.train_sequence(clip, spp, lr_factor, fraction)
     except NonFiniteStepError as error:
-        failed = replay.FailedSequence(method, clip, index, spp, lr_factor, fraction)
-        file = replay.write(out, state, failed, error.failure)
         raise TrainingError(
-            f"Training of '{method}' stopped in sequence {index} at {spp:g} spp: {error}. The "
-            f"sequence is stored in {file}; 'rlbench replay {file}' repeats it. To resume "
-            "from the last checkpoint with a different config, pass --allow-config-change, for "
-            "example with --max-grad-norm 0.1"
+            f"Training of '{method}' stopped in sequence {index} at {spp:g} spp: {error}. "
+            "To resume from the last checkpoint with a different config, pass "
+            "--allow-config-change, for example with --max-grad-norm 0.1"
         ) from error
     progress.frames_seen += _count_frames(clip)
     progress.sequences += 1

@@ -6,10 +6,9 @@ from collections.abc import Iterable, Mapping, Sequence
 from glob import glob, has_magic
 from pathlib import Path
 
-from rlbench.clips.clip_folders import find_all_clips
 from rlbench.clips.compatibility import incompatibility
 from rlbench.clips.header import ClipError, Header
-from rlbench.clips.stored import StoredClip, open_clip, read_header
+from rlbench.clips.stored import StoredClip, find_all_clips, open_clip, read_header
 from rlbench.errors import OptionError
 from rlbench.family import Traits
 from rlbench.render.presets import PresetUse, is_clip_for

@@ -24,7 +24,6 @@ __all__ = ["ProfiledPart", "TrainingProfile", "profile"]
 
 PARTS = {  # functions of rlbench, in the order in which they run
     ("batches.py", "sequence"): "read and crop a sequence",
-    ("train_state.py", "_take_snapshot"): "snapshot for a replay",
     ("train_state.py", "_forward"): "forward, with the loss",
     ("losses.py", "l1_ms_ssim_loss"): "of that, L1 and MS-SSIM",
     ("train_state.py", "_backward"): "backward",

@@ -37,7 +37,7 @@ from pathlib import Path
 from typing import Any, Literal
 
 from rlbench.errors import RlbenchError
-from rlbench.parallel.time_limit import TimeLimit
+from rlbench.parallel.executor import TimeLimit
 from rlbench.registry.near_names import unknown_name
 from rlbench.system import documents, paths
 from rlbench.system.folder_lock import locked_folder

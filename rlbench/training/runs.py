@@ -10,12 +10,11 @@ from pathlib import Path
 
 from rlbench import registry
 from rlbench.system.folder_lock import locked_folder
-from rlbench.training import lr_range_test, own_clips
+from rlbench.training import own_clips
+from rlbench.training.checkpoint import Progress
 from rlbench.training.config import TrainingConfig
 from rlbench.training.dataset import TrainingSplit
 from rlbench.training.loop import check_budgets, train
-from rlbench.training.lr_range_test import LrRangeResult
-from rlbench.training.progress import Progress
 from rlbench.training.run_folder import run_folder
 
 __all__ = ["TrainingRuns", "archive_run"]
@@ -68,10 +67,7 @@ class TrainingRuns:
         Raises FolderInUseError where another process trains in the same folder.
         """
         folder = self.folder(method, held_out_scene)
-        with (
-            locked_folder(folder),
-            self.progress_bar(method, self.config.frames) as on_progress,
-        ):
+        with locked_folder(folder), self.progress_bar(method, self.config.frames) as on_progress:
             result = train(
                 method,
                 split.train,
@@ -88,20 +84,6 @@ class TrainingRuns:
                 self.start,
             )
         return result.weights
-
-    def find_learning_rate(self, method: str, split: TrainingSplit) -> LrRangeResult:
-        """Run a learning-rate range test of a method on the training clips of `split`."""
-        folder = self.out / f"{self.folder(method).name}-range"
-        with self.progress_bar(f"{method}, lr range test", self.config.frames) as on_progress:
-            return lr_range_test.find_learning_rate(
-                method,
-                split.train,
-                folder,
-                self.config,
-                self.device,
-                on_progress,
-                split.mixed_in,
-            )
 
 
 def archive_run(folder: Path) -> Path | None:

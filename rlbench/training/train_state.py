@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from typing import Any, NamedTuple
 
 import torch
@@ -12,12 +12,13 @@ from torch.optim.swa_utils import AveragedModel
 from rlbench.frames import Clip
 from rlbench.training.checkpoint import select_prefix
 from rlbench.training.config import TrainingConfig
-from rlbench.training.ema import warmed_up_ema
 from rlbench.training.task import TrainingError, TrainingTask
 
-__all__ = ["NonFiniteStep", "NonFiniteStepError", "TrainState"]
+__all__ = ["NonFiniteStep", "NonFiniteStepError", "TrainState", "warmed_up_ema"]
 
 MAX_LAYERS_SHOWN = 3  # in an error message
+
+Tensors = tuple[Tensor, ...] | list[Tensor]
 
 
 class NonFiniteStep(NamedTuple):
@@ -50,8 +51,7 @@ class NonFiniteStepError(TrainingError):
 class TrainState:
     """The networks of a training task with their optimiser and exponential moving average (EMA).
 
-    The optimiser is Adam (Kingma and Ba 2015). `snapshot` holds the tensors from before the last
-    sequence, so that a failed sequence can be replayed.
+    The optimiser is Adam (Kingma and Ba 2015).
     """
 
     def __init__(self, task: TrainingTask, config: TrainingConfig, device: str) -> None:
@@ -63,7 +63,6 @@ class TrainState:
         self.ema = AveragedModel(self.networks, multi_avg_fn=average, use_buffers=True)
         self.ema.update_parameters(self.networks)  # the initial weights count as the first average
         self.optimizer = torch.optim.Adam(_parameter_groups(task), task.max_lr)
-        self.snapshot: dict[str, Tensor] = {}
         self.best: dict[str, Tensor] = {}  # averaged weights that `keep_average` stored
         self._modules = {"the networks": self.networks}  # gradients are clipped for each
         if task.auxiliary_network is not None:
@@ -87,7 +86,6 @@ class TrainState:
         `lr_factor` is the learning rate relative to the peak, `fraction_done` the fraction of the
         run's frames already seen. Raises NonFiniteStepError before a step that is not finite.
         """
-        self._take_snapshot()
         for module in self._modules.values():
             module.train()
         for group in self.optimizer.param_groups:
@@ -106,9 +104,15 @@ class TrainState:
 
     def state_dict(self) -> dict[str, Tensor]:
         """All tensors of the run by name, for a checkpoint; they are not copied."""
-        ema = {f"ema.{name}": tensor for name, tensor in self.ema_networks.state_dict().items()}
-        best = {f"best.{name}": tensor for name, tensor in self.best.items()}
-        return self._trained_tensors() | ema | best
+        tensors = {f"weights.{k}": v for k, v in self.networks.state_dict().items()}
+        if (auxiliary := self.task.auxiliary_network) is not None:
+            tensors |= {f"auxiliary_network.{k}": v for k, v in auxiliary.state_dict().items()}
+        for index, moments in self.optimizer.state_dict()["state"].items():
+            tensors |= {f"optimizer.{index}.{k}": v for k, v in moments.items()}
+        tensors |= {
+            f"ema.{name}": tensor for name, tensor in self.ema_networks.state_dict().items()
+        }
+        return tensors | {f"best.{name}": tensor for name, tensor in self.best.items()}
 
     def keep_average(self) -> None:
         """Store a copy of the averaged weights as the best ones."""
@@ -117,13 +121,6 @@ class TrainState:
 
     def load_state_dict(self, tensors: Mapping[str, Tensor], steps: int) -> None:
         """Restore the tensors of `state_dict`, saved after `steps` optimiser steps."""
-        self.load_snapshot(tensors)
-        self.ema_networks.load_state_dict(select_prefix("ema.", tensors))
-        self.ema.n_averaged.fill_(steps + 1)
-        self.best = select_prefix("best.", tensors)
-
-    def load_snapshot(self, tensors: Mapping[str, Tensor]) -> None:
-        """Restore the weights and the optimiser's moments of a `snapshot`."""
         self.networks.load_state_dict(select_prefix("weights.", tensors))
         if self.task.auxiliary_network is not None:
             auxiliary = select_prefix("auxiliary_network.", tensors)
@@ -134,18 +131,9 @@ class TrainState:
             moments.setdefault(int(index), {})[name] = value
         groups = self.optimizer.state_dict()["param_groups"]
         self.optimizer.load_state_dict({"state": moments, "param_groups": groups})
-
-    def _trained_tensors(self) -> dict[str, Tensor]:
-        tensors = {f"weights.{k}": v for k, v in self.networks.state_dict().items()}
-        if (auxiliary := self.task.auxiliary_network) is not None:
-            tensors |= {f"auxiliary_network.{k}": v for k, v in auxiliary.state_dict().items()}
-        for index, moments in self.optimizer.state_dict()["state"].items():
-            tensors |= {f"optimizer.{index}.{k}": v for k, v in moments.items()}
-        return tensors
-
-    def _take_snapshot(self) -> None:
-        tensors = self._trained_tensors()
-        self.snapshot = {name: tensor.detach().clone() for name, tensor in tensors.items()}
+        self.ema_networks.load_state_dict(select_prefix("ema.", tensors))
+        self.ema.n_averaged.fill_(steps + 1)
+        self.best = select_prefix("best.", tensors)
 
     def _forward(self, losses: Iterator[Tensor]) -> Tensor | None:
         with torch.autocast(self.device.type, torch.bfloat16, enabled=self.config.bf16):
@@ -191,3 +179,21 @@ def _parameter_groups(task: TrainingTask) -> list[dict[str, Any]]:
         for parameters, name in groups
         if parameters
     ]
+
+
+def warmed_up_ema(decay: float) -> Callable[[Tensors, Tensors, Tensor | int], None]:
+    """An exponential moving average for `AveragedModel`, faster during the first steps.
+
+    In step n, from 1, the decay is min(decay, n / (n + 9)), as in TensorFlow's moving average
+    with `num_updates` n - 1. Integer tensors, such as the counters of batch norm, are copied.
+    """
+
+    @torch.no_grad()
+    def update(average: Tensors, current: Tensors, step: Tensor | int) -> None:
+        n = int(step)
+        if average[0].is_floating_point():  # tensors come grouped by dtype
+            torch._foreach_lerp_(average, current, 1 - min(decay, n / (n + 9)))
+        else:
+            torch._foreach_copy_(average, current)
+
+    return update

@@ -14,7 +14,7 @@ from torch import nn
 from rlbench import weights
 from rlbench.method import config_json
 from rlbench.system import provenance
-from rlbench.training.progress import Progress, combine_digests
+from rlbench.training.checkpoint import Progress, combine_digests
 from rlbench.training.task import TrainingError
 from rlbench.training.train_state import TrainState
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
@@ -11,18 +10,28 @@ import torch
 from scipy import ndimage
 from torch import Tensor, nn
 
-from baselines.dasr import TRAITS
-from baselines.dasr.gamma import draw_gamma_mean, redraw_as_gamma, sample_variance
-from baselines.dasr.losses import laplacian_of_gaussian, relative_loss
 from baselines.dasr.method import Dasr, build
-from baselines.dasr.network import Networks
-from baselines.dasr.train import training_task
+from baselines.dasr.train import (
+    draw_gamma_mean,
+    laplacian_of_gaussian,
+    redraw_as_gamma,
+    relative_loss,
+    sample_variance,
+    training_task,
+)
 from rlbench.clips.in_memory import InMemoryClip
 from rlbench.clips.procedural.clip import procedural_clip
-from rlbench.frames import Frame, GBuffer, Reference, Samples, Size, StoredPool
+from rlbench.frames import Samples, Size
 from rlbench.run import run_clip
 from rlbench.training.loop import TrainingConfig, train
 from rlbench.weights import digest
+from tests.baselines.noise import (
+    counts_of_halves,
+    exponential_noise,
+    half_noisy,
+    random_tensor,
+    read_samples,
+)
 from tests.conftest import write_noise
 
 CPU = torch.device("cpu")
@@ -31,56 +40,13 @@ VARIANTS = pytest.mark.parametrize("variant", ["", "gamma"])
 DENOISER_STAGE, SAMPLER_STAGE = 0.1, 0.4  # fractions of a training
 
 
-def random_tensor(*shape: int, seed: int = 0) -> Tensor:
-    return torch.rand(shape, generator=torch.Generator().manual_seed(seed))
-
-
 def small_clip(frames: int = 1, size: Size = SIZE, seed: int = 0) -> InMemoryClip:
     return procedural_clip(seed, size, frames=frames)
-
-
-def half_noisy(seed: int, side: int = 32) -> InMemoryClip:
-    """A grey image: noise on the left half only, and albedo distinguishes the halves."""
-    left = torch.arange(side).expand(1, 1, side, side) < side // 2
-    reference = torch.full((1, 3, side, side), 0.5)
-    noise = -random_tensor(1, 8, 1, side, side, seed=seed).clamp_min(1e-6).log()  # mean one
-    gbuffer = GBuffer(
-        {
-            "albedo": torch.where(left, 0.8, 0.3).expand(1, 3, side, side),
-            "normal": torch.zeros(1, 3, side, side),
-            "depth": torch.ones(1, 1, side, side),
-        }
-    )
-    pool = StoredPool(torch.where(left[:, None], noise, 1.0) * reference[:, None], (seed,))
-    frame = Frame(0, gbuffer, pool, Reference(reference, reference))
-    return InMemoryClip("half noisy", "half noisy", "", [frame])
 
 
 @pytest.fixture(scope="module")
 def method() -> Dasr:
     return build("", CPU, "random")
-
-
-def expected_parameters(outputs: int) -> int:
-    """Weights and biases of all 3 x 3 convolutions: sum of a * b * 9 + b."""
-    down = (10, 32, 32, 43, 43, 57, 57, 76, 76, 101, 101, 101, 101)
-    up = ((202, 76, 76), (152, 57, 57), (114, 43, 43), (86, 32, 32), (64, 128, 64, outputs))
-    steps = [*pairwise(down), *(step for level in up for step in pairwise(level))]
-    return sum(a * b * 9 + b for a, b in steps)
-
-
-@pytest.mark.parametrize(("part", "outputs"), [("sampler", 1), ("denoiser", 3)])
-def test_parameter_counts(part: str, outputs: int) -> None:
-    count = sum(p.numel() for p in Networks().get_submodule(part).parameters())
-    assert count == expected_parameters(outputs)
-    assert count == pytest.approx(1.07e6, rel=1e-3)  # as published
-
-
-@pytest.mark.parametrize("size", [Size(1, 32, 32), Size(2, 33, 31), Size(1, 5, 40), Size(1, 1, 1)])
-def test_any_image_size_is_denoised(method: Dasr, size: Size) -> None:
-    (result,) = run_clip(method, small_clip(1, size), 2.0)
-    assert result.image.shape == (size.n, 3, size.h, size.w)
-    assert torch.isfinite(result.image).all()
 
 
 def test_at_one_spp_every_pixel_gets_one_sample(method: Dasr) -> None:
@@ -102,28 +68,6 @@ def test_the_density_depends_on_the_pilot(method: Dasr) -> None:
     assert not torch.equal(
         method.plan(frame.gbuffer, pilot, None), method.plan(frame.gbuffer, brighter, None)
     )
-
-
-@pytest.mark.parametrize("bad", [torch.nan, torch.inf, -1.0])
-def test_an_invalid_sample_leaves_the_image_finite(method: Dasr, bad: float) -> None:
-    (frame,) = small_clip()
-    radiance = frame.pool.radiance.clone()
-    radiance[..., 3, 3] = bad
-    samples = Samples(radiance, torch.full((1, 1, SIZE.h, SIZE.w), 8))
-    image, _ = method.denoise(frame.gbuffer, samples, None)
-    assert torch.isfinite(image).all()
-    assert (image >= 0).all()
-
-
-def test_half_precision_differs_by_rounding_only(method: Dasr) -> None:
-    (frame,) = small_clip()
-    samples = Samples(frame.pool.radiance, torch.full((1, 1, SIZE.h, SIZE.w), 8))
-    image, _ = method.denoise(frame.gbuffer, samples, None)
-    with torch.autocast("cpu", torch.bfloat16):
-        half, _ = method.denoise(frame.gbuffer, samples, None)
-    assert half.dtype == torch.float32
-    # bfloat16 has 8 bits, and outputs are of order one tenth, through 23 layers
-    torch.testing.assert_close(half, image, rtol=0, atol=1e-2)
 
 
 def test_edges_equal_scipy() -> None:
@@ -251,7 +195,7 @@ def test_the_sampler_learns_where_noise_is(variant: str) -> None:
             loss.backward()
             optimizer.step()
     (result,) = run_clip(task.method, half_noisy(99), 3.0)
-    left, right = result.samples.counts.float().mean((0, 1, 2)).view(2, 16).mean(1).tolist()
+    left, right = counts_of_halves(result.samples.counts)
     assert left > 2 * right  # 3 and 3 before, 5 and 1 at best
 
 
@@ -316,7 +260,7 @@ def test_without_light_or_noise_a_draw_is_the_mean(mean: float, variance: float)
 def test_the_sample_variance_is_measured_around_each_pixels_own_mean() -> None:
     """Exponential noise around m has variance m^2, although neighbours have other means."""
     mean = torch.where(torch.arange(300) % 2 < 1, 0.5, 1.5).expand(1, 1, 3, 300, 300)
-    noise = -random_tensor(1, 8, 3, 300, 300).clamp_min(1e-6).log()
+    noise = exponential_noise(1, 8, 3, 300, 300)
     measured = sample_variance(mean * noise).mean()
     expected = (0.5**2 + 1.5**2) / 2
     # one variance of 8 exponential samples has a deviation of about its own size
@@ -331,7 +275,7 @@ def test_an_infinite_sample_gives_a_finite_variance() -> None:
 
 def test_gamma_passes_one_mean_per_pixel_to_the_method() -> None:
     (frame,) = small_clip()
-    samples = Samples(frame.pool.radiance, torch.full((1, 1, SIZE.h, SIZE.w), 8))
+    samples = read_samples(frame)
     simulated = redraw_as_gamma(samples, torch.full((1, 1, SIZE.h, SIZE.w), 2.0), frame)
     assert simulated.radiance.shape == (1, 1, 3, SIZE.h, SIZE.w)
     assert torch.equal(simulated.mean, simulated.radiance[:, 0])
@@ -344,12 +288,3 @@ def test_equal_frames_give_equal_gamma_draws() -> None:
         task.on_progress(DENOISER_STAGE)
         losses.append([loss.item() for loss in task.losses(small_clip(2), 2.0)])
     assert losses[0] == losses[1]
-
-
-def test_the_traits_declare_a_pilot_of_one_sample() -> None:
-    assert (TRAITS.pilot_spp, TRAITS.min_samples, TRAITS.temporal, TRAITS.discard_pilot) == (
-        1.0,
-        1,
-        False,
-        False,
-    )

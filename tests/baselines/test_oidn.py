@@ -2,24 +2,17 @@
 
 from __future__ import annotations
 
-import subprocess
-import sys
-from dataclasses import replace
-
 import pytest
 import torch
 
-from baselines.oidn import FAMILY
-from baselines.oidn.method import VARIANTS, Oidn, build, to_radiance
+from baselines.oidn import tuning_search
+from baselines.oidn.method import Oidn, build, to_radiance
 from baselines.oidn.train import _frame_loss, training_task
 from rlbench.clips.in_memory import InMemoryClip
 from rlbench.frames import Frame, GBuffer, Reference, Samples, StoredPool
-from rlbench.method import Method
 from rlbench.ops.exposure import autoexposure
 from rlbench.ops.transfer import pu_forward
 from rlbench.run import run_clip
-from rlbench.training.task import BUDGETS_FROM_1_SPP
-from rlbench.weights import ModelCard, save
 
 CPU = torch.device("cpu")
 
@@ -39,45 +32,6 @@ def clip(h: int = 21, w: int = 35, frames: int = 1, gain: float = 1.0, n: int = 
     return InMemoryClip("clip", "clip", "", clip_frames)
 
 
-def test_metadata_is_readable_without_torch():
-    code = "import sys, baselines.oidn; sys.exit('torch' in sys.modules)"
-    assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0
-
-
-def test_the_method_has_the_traits_of_its_family():
-    method = build("", CPU, "random")
-    assert isinstance(method, Method)
-    assert method.traits == FAMILY.variants[""].traits
-
-
-@pytest.mark.parametrize(
-    ("variant", "parameters"),
-    [("", 919_811), ("fast", 320_035), ("retrained", 919_811), ("retrained-small", 320_035)],
-)
-def test_the_network_has_oidns_size(variant, parameters):
-    network = build(variant, CPU, "random").network
-    assert sum(p.numel() for p in network.parameters()) == parameters
-
-
-@pytest.mark.parametrize("variant", ["fast", "retrained-small"])
-def test_the_small_networks_differ_in_their_widths_only(variant):
-    assert VARIANTS[variant].widths != VARIANTS[""].widths
-    assert replace(VARIANTS[variant], widths=VARIANTS[""].widths) == VARIANTS[""]
-
-
-def test_every_variant_of_the_family_can_be_built():
-    assert set(FAMILY.variants) == set(VARIANTS)
-
-
-@pytest.mark.parametrize("size", [(1, 1), (16, 16), (21, 35)])
-@pytest.mark.parametrize("spp", [1.0, 1.5, 8.0])
-def test_any_size_and_budget_give_a_finite_image(size, spp):
-    (result,) = run_clip(build("", CPU, "random"), clip(*size), spp)
-    assert result.image.shape == (1, 3, *size)
-    assert torch.isfinite(result.image).all()
-    assert (result.image >= 0).all()
-
-
 @pytest.mark.parametrize("gain", [2.0**-5, 3.0, 2.0**7])
 def test_the_image_scales_with_the_radiance(gain):
     method = build("", CPU, "random")
@@ -86,26 +40,6 @@ def test_the_image_scales_with_the_radiance(gain):
     assert plain.image.max() > plain.image.min()
     # exposure in float32, then a logarithm and an exponential with 16 nats between 0 and 1
     torch.testing.assert_close(scaled.image / gain, plain.image, rtol=2e-3, atol=1e-5)
-
-
-def test_frames_are_independent():
-    method = build("", CPU, "random")
-    third = list(run_clip(method, clip(frames=3), 4.0))[2].image
-    single = InMemoryClip("single", "clip", "", list(clip(frames=3))[2:])
-    (result,) = run_clip(method, single, 4.0)
-    assert torch.equal(result.image, third)
-
-
-def test_clips_of_a_batch_are_independent():
-    method = build("", CPU, "random")
-    (both,) = run_clip(method, clip(n=2), 8.0)
-    for i in range(2):
-        (frame,) = clip(n=2)
-        gbuffer = GBuffer({k: v[i : i + 1] for k, v in frame.gbuffer.buffers.items()})
-        assert isinstance(frame.pool, StoredPool)
-        samples = Samples(frame.pool.radiance[i : i + 1], torch.full((1, 1, 21, 35), 8))
-        image, _ = method.denoise(gbuffer, samples, None)
-        torch.testing.assert_close(both.image[i : i + 1], image, rtol=1e-4, atol=1e-5)
 
 
 @pytest.mark.parametrize("bad", [float("nan"), float("inf"), -1.0, 0.0])
@@ -165,31 +99,6 @@ def test_the_network_reads_exposed_colour_albedo_and_normals_in_zero_to_one():
     torch.testing.assert_close(normal[0, :, 0, -1], torch.tensor([0.8, 0.5, 0.1]))
 
 
-def test_weights_are_loaded_from_a_file(tmp_path):
-    path = tmp_path / "mine.safetensors"
-    random = build("", CPU, "random")
-    with torch.no_grad():
-        random.network.dec_conv0.bias.fill_(0.125)
-    save(random.network, path, ModelCard(name="oidn"))
-    assert (build("", CPU, str(path)).network.dec_conv0.bias == 0.125).all()
-
-
-def test_random_weights_are_reproducible():
-    first, second = (build("", CPU, "random").network.state_dict() for _ in range(2))
-    assert all(torch.equal(first[k], second[k]) for k in first)
-
-
-def test_each_frame_gives_one_loss_with_a_gradient_for_every_parameter():
-    task = training_task("retrained", CPU, seed=0)
-    losses = list(task.losses(clip(32, 32, frames=3), BUDGETS_FROM_1_SPP[0]))
-    assert len(losses) == 3
-    losses[0].backward()
-    without_gradient = [
-        k for k, p in task.networks.named_parameters() if p.grad is None or not p.grad.any()
-    ]
-    assert without_gradient == []
-
-
 def test_the_loss_of_a_perfect_output_is_zero():
     """A noise-free pool, an identity network, and the exposure of the reference."""
     (frame,) = clip(32, 32)
@@ -211,38 +120,26 @@ def test_exposure_in_training_comes_from_the_reference():
     torch.testing.assert_close(network.input[:, :3], expected)
 
 
-def test_the_training_seed_changes_the_weights():
-    first, second = (
-        training_task("retrained", CPU, seed).networks.enc_conv0.weight for seed in (0, 1)
-    )
-    assert not torch.equal(first, second)
-
-
-def test_a_few_steps_of_training_lower_the_loss():
-    task, scene = training_task("retrained-small", CPU, seed=0), clip(32, 32)
-    optimizer = torch.optim.Adam(task.networks.parameters(), 1e-3)
-    history = []
-    for _ in range(25):
-        for loss in task.losses(scene, 4.0):
-            optimizer.zero_grad()
-            loss.backward()
-            optimizer.step()
-            history.append(float(loss.detach()))
-    assert history[-1] < 0.6 * history[0]
-
-
-def test_the_trained_network_is_the_network_that_runs():
-    task = training_task("retrained", CPU, seed=0)
-    assert isinstance(task.method, Oidn)
-    assert task.method.network is task.networks
-    (result,) = run_clip(task.method, clip(), 1.0)
-    assert result.image.shape == (1, 3, 21, 35)
-
-
 def test_tuning_starts_from_intels_weights():
     pytest.importorskip("pyoidn", reason="the extra oidn is not installed")
-    from baselines.oidn_intel.networks import load_network
+    from baselines.oidn_intel.extract import load_network
 
     theirs, ours = load_network().state_dict(), training_task("tuned", CPU, 0).networks.state_dict()
     assert all(torch.equal(ours[name], theirs[name]) for name in theirs)
     assert training_task("tuned", CPU, 0).max_lr < training_task("retrained", CPU, 0).max_lr
+
+
+def test_the_loss_and_rate_of_the_shipped_row_are_one_point_of_the_search():
+    shipped, searched = (
+        training_task("tuned", CPU, 0),
+        tuning_search.training_task("pu-4e-5", CPU, 0),
+    )
+    assert searched.max_lr == shipped.max_lr
+    assert next(searched.losses(clip(64, 64), 1.0)) == next(shipped.losses(clip(64, 64), 1.0))
+
+
+@pytest.mark.parametrize("variant", tuning_search.FAMILY.variants)
+def test_every_point_has_the_rate_that_its_name_gives(variant):
+    task = tuning_search.training_task(variant, CPU, 0)
+    assert task.max_lr == float(variant.partition("-")[2])
+    assert torch.isfinite(next(task.losses(clip(64, 64), 1.0)))

@@ -9,7 +9,7 @@ import torch
 from torch import Tensor
 
 from baselines.oidn.method import build
-from baselines.oidn_intel import extract, method, networks
+from baselines.oidn_intel import extract, method
 from rlbench import registry
 from rlbench.frames import GBuffer, Samples
 from rlbench.ops.fireflies import mean_without_fireflies
@@ -76,7 +76,7 @@ def test_the_command_makes_the_shipped_files(tmp_path, capsys):
 
 def test_the_command_without_the_library_says_what_to_install(tmp_path, capsys, monkeypatch):
     monkeypatch.setitem(sys.modules, "pyoidn", None)  # as if it could not be imported
-    networks.load_network.cache_clear()
+    extract.load_network.cache_clear()
     with pytest.raises(SystemExit, match="2"):
         extract.main([str(tmp_path)])
     assert "pip install pyoidn" in capsys.readouterr().err

@@ -18,7 +18,7 @@ from rlbench.clips.procedural.clip import procedural_clip
 from rlbench.frames import Samples, Size
 from rlbench.ops.unet import UNet
 from rlbench.run import FrameResult, run_clip
-from rlbench.weights import ModelCard, load_into, read_card, save
+from rlbench.weights import load_into, read_card
 
 CPU = torch.device("cpu")
 CARDS = sorted((Path(tza.__file__).parent / "cards").glob("*.safetensors"))
@@ -51,7 +51,7 @@ def run_ours(method: Oidn, size: Size = UNPADDED) -> FrameResult:
 def run_intel(result: FrameResult, quality: str = "high", weights: bytes = b"") -> torch.Tensor:
     """The image of Intel's library for the same mean, albedo and normal."""
     pytest.importorskip("pyoidn", reason="the extra oidn is not installed")
-    from baselines.oidn_intel.library import Filter, FilterSettings
+    from baselines.oidn_intel.method import Filter, FilterSettings
 
     _, _, h, w = result.image.shape
     run_filter = Filter(FilterSettings(quality, weights=weights), h, w, threads=1)
@@ -116,7 +116,7 @@ def test_at_odd_sizes_only_the_padding_differs(monkeypatch):
 @float32_library
 def test_our_network_with_intels_weights_gives_intels_image(variant, quality):
     pytest.importorskip("pyoidn", reason="the extra oidn is not installed")
-    from baselines.oidn_intel.networks import load_network
+    from baselines.oidn_intel.extract import load_network
 
     result = run_ours(Oidn(load_network(VARIANTS[variant].widths)))
     torch.testing.assert_close(run_intel(result, quality), result.image, **CLOSE)
@@ -125,7 +125,7 @@ def test_our_network_with_intels_weights_gives_intels_image(variant, quality):
 def test_only_one_network_of_that_size_gives_the_librarys_image():
     """The difference to the library's image identifies the network."""
     pytest.importorskip("pyoidn", reason="the extra oidn is not installed")
-    from baselines.oidn_intel.networks import (
+    from baselines.oidn_intel.extract import (
         MAX_DIFFERENCE,
         _relative_difference,
         read_library_networks,
@@ -152,17 +152,6 @@ def test_decoding_returns_the_encoded_tensors_bit_for_bit(weights):
     for name, tensor in network.half().state_dict().items():
         assert decoded[name].dtype == np.float16
         assert decoded[name].tobytes() == tensor.numpy().tobytes()
-
-
-@pytest.mark.parametrize("variant", PARAMETERS)
-def test_random_weights_survive_encoding_and_decoding(variant):
-    state = build(variant, CPU, "random").network.state_dict()
-    tensors = {name: tensor.half().numpy() for name, tensor in state.items()}
-    decoded = tza.decode(tza.encode(tensors))
-    assert count_weights(decoded) == PARAMETERS[variant]
-    assert {n: (t.shape, t.tobytes()) for n, t in decoded.items()} == {
-        n: (t.shape, t.tobytes()) for n, t in tensors.items()
-    }
 
 
 def test_the_file_has_the_length_of_intels_file():
@@ -211,13 +200,6 @@ def test_another_file_format_is_rejected():
 def test_the_command_writes_the_file(tmp_path):
     tza.main([str(tmp_path / "tuned.tza")])
     assert count_weights(tza.decode((tmp_path / "tuned.tza").read_bytes())) == PARAMETERS[""]
-
-
-def test_weights_under_a_former_name_of_their_row_are_exported(tmp_path):
-    network = build("retrained-small", CPU, None).network
-    save(network, tmp_path / "small.safetensors", ModelCard("oidn/retrained-small"))
-    content = tza.export(tmp_path / "small.safetensors")
-    assert count_weights(tza.decode(content)) == PARAMETERS["fast"]
 
 
 def test_the_command_reports_a_missing_weights_file(tmp_path, capsys):

@@ -15,9 +15,9 @@ from metrics.metric import Comparison
 from rlbench import registry
 from rlbench.benchmark import cell_images
 from rlbench.benchmark import results as table
-from rlbench.benchmark.cell_images import KeptFrame, KeptImagesError
+from rlbench.benchmark.cell_images import KeptFrame, KeptImagesError, list_images
 from rlbench.benchmark.runner import RunSummary, measure
-from rlbench.clips.exr import read_exr
+from rlbench.benchmark.shown_clips import find_shown_clips
 from rlbench.clips.stored import open_clip
 from rlbench.frames import Samples
 from rlbench.run import FrameResult, run_clip
@@ -38,7 +38,7 @@ def kept(folder: Path) -> dict[str, bytes]:
 
 @pytest.fixture
 def plan(clip_folder):
-    return run_plan(clip_folder, target_spp=(1.5,))
+    return run_plan(clip_folder, spp=(1.5,))
 
 
 def test_kept_images_are_those_of_the_method_and_counts_sum_to_the_budget(plan, tmp_path):
@@ -52,19 +52,6 @@ def test_kept_images_are_those_of_the_method_and_counts_sum_to_the_budget(plan, 
         np.testing.assert_array_equal(frame.image, result.image[0].half().numpy())
         np.testing.assert_array_equal(frame.counts, result.samples.counts[0, 0].numpy())
         assert frame.counts.sum(dtype=np.float64) == round(1.5 * 20 * 24)
-
-
-def test_a_kept_frame_is_an_exr_file_with_named_channels(plan, tmp_path):
-    keep(plan, tmp_path / "r")
-    (folder,) = (tmp_path / "r" / "images").iterdir()
-    (row_file,) = (tmp_path / "r").glob("*.parquet")
-    assert sorted(file.name for file in folder.iterdir()) == [
-        *(f"{index:04}.exr" for index in range(3)),
-        "cell.json",
-    ]
-    assert folder.name.rpartition(" ")[0] == row_file.stem.rpartition(" ")[0]
-    stored = read_exr(folder / "0001.exr", ("R", "G", "B", "counts"), 20, 24)
-    assert stored.dtype == np.float16
 
 
 def frame_result(image: torch.Tensor, counts: int = 1) -> FrameResult:
@@ -100,16 +87,6 @@ def test_a_cell_with_scores_but_without_images_is_run_again_and_keeps_its_scores
     assert keep(plan, tmp_path / "r") == RunSummary(measured=1)
     assert scores(tmp_path / "r") == before
     assert kept(tmp_path / "r")
-    assert keep(plan, tmp_path / "r") == RunSummary(cached=1)
-
-
-def test_images_that_are_made_without_times_leave_those_that_are_there(plan, tmp_path):
-    measure(plan, tmp_path / "r")
-    before = table.read(tmp_path / "r")
-    assert keep(plan, tmp_path / "r", scores_only=True) == RunSummary(measured=1)
-    after = table.read(tmp_path / "r")
-    assert "frame_ms" in set(after["metric"])
-    assert after.equals(before)
     assert keep(plan, tmp_path / "r") == RunSummary(cached=1)
 
 
@@ -193,7 +170,7 @@ def test_images_have_their_name_only_when_all_are_written(plan, tmp_path, monkey
 
 def test_a_cell_that_cannot_run_has_no_images_and_is_not_run_for_them(tmp_path):
     folder = write_noise(tmp_path / "noise")
-    plan = run_plan(folder, "eaw", target_spp=(0.5,))  # eaw takes no half samples
+    plan = run_plan(folder, "eaw", spp=(0.5,))  # eaw takes no half samples
     assert keep(plan, tmp_path / "r") == RunSummary(skipped=1)
     assert not kept(tmp_path / "r")
     assert keep(plan, tmp_path / "r") == RunSummary(cached=1)
@@ -212,3 +189,35 @@ def test_a_changed_byte_is_found_when_the_image_is_read(plan, tmp_path):
     (images.folder / "cell.json").write_text('{"schema": 9}')
     with pytest.raises(KeptImagesError, match="it has schema 9, this version reads 1"):
         cell_images.list_images(tmp_path / "r")
+
+
+@pytest.fixture
+def shown_plan(clip_folder, tmp_path):
+    plan = run_plan(clip_folder, spp=(1.0, 2.0), seeds=(0, 1))
+    measure(plan, tmp_path / "r", keep_images=True)
+    return plan
+
+
+def test_images_reference_and_buffers_are_those_on_disk(shown_plan, tmp_path):
+    (shown,) = find_shown_clips(tmp_path / "r", shown_plan.clips, ["mean"], [2.0])
+    clip = open_clip(shown_plan.clips[0].folder)
+    (images,) = shown.images  # of the first seed
+    kept = next(
+        each
+        for each in list_images(tmp_path / "r")
+        if (each.cell.key.target_spp, each.cell.key.seed) == (2.0, 0)
+    )
+    assert (shown.name, images.method, images.target_spp) == (clip.name, "mean", 2.0)
+    assert list(shown.buffers) == ["albedo", "normal", "depth", "motion"]
+    for index, frame in enumerate(clip):
+        assert np.array_equal(images.frames[index], kept.frame(index).image)
+        assert np.array_equal(images.counts[index], kept.frame(index).counts)
+        assert np.array_equal(shown.reference[index], frame.reference.mean[0])
+        assert torch.equal(torch.from_numpy(shown.buffers["depth"][index]), frame.gbuffer.depth[0])
+
+
+def test_only_the_buffers_that_are_named_are_read(shown_plan, tmp_path):
+    (shown,) = find_shown_clips(
+        tmp_path / "r", shown_plan.clips, ["mean"], [2.0], buffers=["depth"]
+    )
+    assert list(shown.buffers) == ["depth"]

@@ -54,13 +54,6 @@ def test_each_scene_is_scored_with_weights_that_were_trained_without_it(folds, t
     assert [clip.split()[0] for clip in trained_on] == ["hall"]
 
 
-def test_finished_work_is_not_repeated(folds, tmp_path):
-    run_crossval(folds, tmp_path / "out")
-    files = {file: file.stat().st_mtime_ns for file in (tmp_path / "out").rglob("*.safetensors")}
-    assert run_crossval(folds, tmp_path / "out") == RunSummary(cached=4)
-    assert files == {file: file.stat().st_mtime_ns for file in files}
-
-
 def test_progress_is_reported_for_each_method_of_each_fold(folds, tmp_path):
     messages, measured = [], []
 

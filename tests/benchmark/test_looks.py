@@ -5,26 +5,19 @@ from __future__ import annotations
 import csv
 import subprocess
 import sys
-from types import SimpleNamespace
 
 import pytest
 
 from rlbench.benchmark import looks, results
+from rlbench.benchmark.cell_key import CellKey
 from rlbench.benchmark.runner import measure
 from rlbench.system.paths import WriteError
 from tests.benchmark.test_runner import run_plan
 from tests.conftest import write_noise
 
 
-def cell(method="ours", preset="unseen"):
-    return SimpleNamespace(
-        header=SimpleNamespace(preset=preset),
-        key=SimpleNamespace(method=f"{method}@bf16"),
-        method=SimpleNamespace(name=method),
-    )
-
-
-HASHES = {"ours": "a", "mean": "b"}
+def cell(method="ours", preset="unseen", code="a"):
+    return CellKey(f"{method}@bf16", "clip", 1.0, 0, "cpu", preset), code
 
 
 def read(folder):
@@ -33,7 +26,7 @@ def read(folder):
 
 
 def test_a_run_adds_a_line_for_each_preset(tmp_path):
-    looks.record_looks(tmp_path, [cell(), cell("mean"), cell(preset="mini")], HASHES)
+    looks.record_looks(tmp_path, [cell(), cell("mean", code="b"), cell(preset="mini")])
     mini, unseen = read(tmp_path)
     assert (mini["preset"], mini["methods"], mini["cells"]) == ("mini", "ours@bf16", "1")
     assert (unseen["preset"], unseen["methods"]) == ("unseen", "mean@bf16 ours@bf16")
@@ -42,22 +35,22 @@ def test_a_run_adds_a_line_for_each_preset(tmp_path):
 
 
 def test_other_code_has_another_hash(tmp_path):
-    looks.record_looks(tmp_path, [cell()], HASHES)
-    looks.record_looks(tmp_path, [cell()], {"ours": "changed"})
+    looks.record_looks(tmp_path, [cell()])
+    looks.record_looks(tmp_path, [cell(code="changed")])
     first, second = read(tmp_path)
     assert first["code_hash"] != second["code_hash"]
     assert looks.count_looks(tmp_path) == {"unseen": 2}
 
 
 def test_nothing_new_is_no_look(tmp_path):
-    looks.record_looks(tmp_path, [], HASHES)
+    looks.record_looks(tmp_path, [])
     assert looks.count_looks(tmp_path) == {}
     assert not (tmp_path / looks.FILE).exists()
 
 
 @pytest.mark.parametrize(("preset", "is_test"), [("mini", True), ("train", False), ("", False)])
 def test_only_test_presets_are_counted(tmp_path, preset, is_test):
-    looks.record_looks(tmp_path, [cell(preset=preset)], HASHES)
+    looks.record_looks(tmp_path, [cell(preset=preset)])
     assert looks.count_looks(tmp_path) == ({preset: 1} if is_test else {})
 
 
@@ -83,4 +76,4 @@ def test_a_run_is_a_look_once_and_a_finished_one_is_none(tmp_path):
 def test_a_folder_that_takes_no_file_is_an_error_that_names_it(tmp_path):
     (tmp_path / "file").write_text("")
     with pytest.raises(WriteError, match=r"looks\.csv cannot be written"):
-        looks.record_looks(tmp_path / "file", [cell()], HASHES)
+        looks.record_looks(tmp_path / "file", [cell()])

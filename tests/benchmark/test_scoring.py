@@ -1,35 +1,43 @@
-"""Rows from images: missing values, and images that are not scored."""
+"""Rows from images: missing values, images that are not scored, ground truth that cells share."""
 
 from __future__ import annotations
 
 import math
-from dataclasses import replace
+import pickle
+from dataclasses import dataclass, replace
 
 import pytest
 import torch
 
 from metrics.metric import Metric
 from rlbench import registry
-from rlbench.benchmark.ground_truth_cache import make_ground_truth
+from rlbench.benchmark import results, scoring
+from rlbench.benchmark.clip_sources import StoredSource
 from rlbench.benchmark.results import COUNT_PREFIX, NOISE_CEILING, Row
+from rlbench.benchmark.run_plan import RunPlan
+from rlbench.benchmark.runner import measure
 from rlbench.benchmark.scoring import (
+    GroundTruthCache,
     add_counts,
     compare_frame,
     count_rows,
-    refusal_row,
+    make_ground_truth,
     score_frame,
 )
+from rlbench.clips.in_memory import InMemoryClip
 from rlbench.clips.procedural.clip import procedural_clip
+from rlbench.clips.procedural.folder import write_procedural_clip
 from rlbench.clips.stored import read_header
+from rlbench.family import Traits
 from rlbench.frames import Size
 from rlbench.run import run_clip
 
 TEMPLATE = Row("r", "mean", "noise", "noise", 2.0, 1.5, -1, "", math.nan)
 
-
 BRIGHT = Metric(
     "bright", "", "higher", "mean of all channels", lambda c: c.image.flatten(1).mean(1)
 )
+
 MOVED = Metric(
     "moved", "", "", "mean motion", lambda c: c.motion.mean((1, 2, 3)), needs=("motion",)
 )
@@ -63,13 +71,6 @@ def test_a_temporal_metric_has_no_score_of_the_first_frame(frames, clip_folder):
     assert len(score(metric, frames[1], header, frames[0])) == 1
 
 
-def test_a_metric_is_handed_the_counts_and_valid_motion_of_the_frame(frames):
-    comparison = compared(frames[1])
-    assert comparison.counts is frames[1].samples.counts
-    assert comparison.motion.shape == (1, 2, 16, 16)
-    assert comparison.motion.isfinite().all()
-
-
 def test_a_metric_without_the_motion_that_it_needs_has_a_reason_and_no_score(frames, clip_folder):
     gbuffer = frames[1].frame.gbuffer.select(frozenset())
     result = replace(frames[1], frame=replace(frames[1].frame, gbuffer=gbuffer))
@@ -95,11 +96,6 @@ def test_an_infinite_score_is_nan_with_a_note(frames, clip_folder):
     assert row.note == "the value is inf"
 
 
-def test_a_skipped_cell_has_a_reason_and_no_value():
-    row = refusal_row(TEMPLATE, "needs CUDA")
-    assert (row.metric, math.isnan(row.value), row.note) == ("psnr", True, "needs CUDA")
-
-
 def test_repaired_pixels_are_counted_in_a_row(frames, clip_folder):
     result = replace(frames[1], repairs={"depth": 2, "radiance": 1})
     *_, row = score(BRIGHT, result, read_header(clip_folder), frames[0])
@@ -117,11 +113,6 @@ def test_an_event_of_the_header_is_a_row_of_its_frame(frames, clip_folder):
     ]
 
 
-def test_a_metric_without_enough_previous_frames_has_no_row(frames, clip_folder):
-    metric, header = replace(BRIGHT, previous_frames=2), read_header(clip_folder)
-    assert score(metric, frames[1], header, frames[0]) == []
-
-
 @pytest.mark.parametrize("most", [5, 8, 12])  # less than the cap, the cap, and more
 def test_counts_that_are_added_frame_by_frame_are_those_of_the_whole_clip(most):
     random = torch.Generator().manual_seed(most)
@@ -135,3 +126,87 @@ def test_counts_that_are_added_frame_by_frame_are_those_of_the_whole_clip(most):
     assert [row.metric for row in rows] == [f"{COUNT_PREFIX}{n}" for n in range(max(most, 8) + 1)]
     assert [row.value for row in rows] == [100 * count / len(drawn) for count in histogram]
     assert {row.mean_spp for row in rows} == {float(drawn.double().mean())}
+
+
+@pytest.fixture
+def clip():
+    return procedural_clip(3, Size(1, 16, 16), 3, 4)
+
+
+def read(cache, clip):
+    opened = cache.open(clip)
+    return [opened.ground_truth(frame) for frame in opened]
+
+
+def test_every_cell_of_a_clip_gets_the_same_ground_truth(clip):
+    cache = GroundTruthCache(Metric)
+    reopened = InMemoryClip(clip.name, clip.scene, clip.digest, list(clip))
+    first, second = read(cache, clip), read(cache, reopened)
+    assert [a is b for a, b in zip(first, second, strict=True)] == [True] * 3
+    assert (first[1].motion == make_ground_truth(Metric, list(clip)[1]).motion).all()
+
+
+def test_another_clip_has_its_own_ground_truth(clip):
+    cache, other = GroundTruthCache(Metric), procedural_clip(4, Size(1, 16, 16), 3, 4)
+    for each in (clip, other, clip):
+        opened = cache.open(each)
+        for frame in opened:
+            assert (opened.ground_truth(frame).half_a == frame.reference.half_a).all()
+
+
+def test_of_a_large_clip_one_frame_is_kept(clip, monkeypatch):
+    monkeypatch.setattr(scoring, "MAX_PIXELS", 3 * 16 * 16 - 1)
+    opened = GroundTruthCache(Metric).open(clip)
+    frames = list(opened)
+    assert (opened.ground_truth(frames[2]).half_a == frames[2].reference.half_a).all()
+    with pytest.raises(KeyError):
+        opened.ground_truth(frames[1])
+
+
+def test_a_copy_for_another_process_is_empty(clip):
+    cache = GroundTruthCache(Metric)
+    read(cache, clip)
+    assert len(pickle.dumps(cache)) < 1000
+
+
+@dataclass(frozen=True)
+class Vandal:
+    """Writes to the motion that it receives."""
+
+    traits: Traits = Traits(inputs=frozenset({"motion"}))
+
+    def start(self, size):
+        return None
+
+    def plan(self, gbuffer, samples, state):
+        gbuffer.motion.add_(3.0)
+        return torch.ones_like(samples.mean[:, :1])
+
+    def denoise(self, gbuffer, samples, state):
+        return samples.mean, None
+
+
+def test_a_method_that_writes_to_its_inputs_changes_no_ground_truth(clip):
+    cache = GroundTruthCache(Metric)
+    expected = [frame.gbuffer.motion.clone() for frame in clip]
+    for _ in run_clip(Vandal(), cache.open(clip), 1.0):
+        pass
+    assert expected[1].abs().sum() > 0
+    for truth, motion in zip(read(cache, clip), expected, strict=True):
+        assert (truth.motion == motion).all()
+
+
+def values_of(methods, clips, folder):
+    plan = RunPlan(methods, clips, (1.0, 2.0), repeats=1)
+    measure(plan, folder, scores_only=True)
+    rows = results.read(folder)
+    rows = rows[~rows["metric"].str.startswith("count")]
+    return rows.set_index(["method", "clip", "target_spp", "metric", "frame"])["value"]
+
+
+def test_scores_beside_other_rows_and_clips_are_those_of_a_row_alone(tmp_path):
+    clips = [StoredSource(write_procedural_clip(tmp_path / str(i), i, 32, 3)) for i in (3, 4)]
+    together = values_of(("mean", "eaw"), tuple(clips), tmp_path / "together")
+    alone = values_of(("eaw",), (clips[1],), tmp_path / "alone")
+    assert len(alone) > 50
+    assert together[alone.index].equals(alone)

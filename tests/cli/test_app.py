@@ -16,10 +16,10 @@ from tests.cli.runner import CHECKOUT, python, rlbench
 from tests.test_readme import check_command
 
 PIPELINE = [
-    *("doctor", "list", "cache", "render", "render-scene", "download", "pack", "scenes", "import"),
-    *("lint", "new", "check", "stress", "speed", "fingerprint", "train", "lr-find", "replay"),
+    *("doctor", "list", "cache", "render", "render-scene", "scenes", "import"),
+    *("lint", "new", "check", "stress", "speed", "train"),
     *("crossval", "run", "evaluate", "report", "decide", "compare", "images", "view", "video"),
-    *("regress", "submit", "verify", "card"),
+    *("regress",),
 ]
 HELP_SECONDS = 0.5  # of processor time
 
@@ -92,7 +92,6 @@ finally:
         ("run -m uors", 2),
         ("images -m uors", 2),
         ("train -m uors", 2),
-        ("lr-find -m uors", 2),
         ("crossval -m uors", 2),
     ],
 )

@@ -11,7 +11,7 @@ from typing import NamedTuple
 
 import pytest
 
-from rlbench.benchmark.cost_profile import CostError, profile
+from rlbench.benchmark.cost import CostError, profile
 from tests.cli.runner import ENVIRONMENT, rlbench
 from tests.clips.importers.sources import write_oidn
 from tests.conftest import write_noise, write_plugin

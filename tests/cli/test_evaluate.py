@@ -1,4 +1,4 @@
-"""The command evaluate: from kept images to a report on conventions."""
+"""The command evaluate: from kept images to a report of other scores."""
 
 from __future__ import annotations
 
@@ -22,8 +22,8 @@ def test_images_are_scored_under_conventions_and_reported(kept, clip_folder, tmp
     assert "psnr, psnr@hable, relmse: 6 scored, 0 already in the results" in output
     assert "0 scored, 6 already" in rlbench("evaluate", kept, *conventions)
     assert set(table.read(kept / "evaluated")["metric"]) == {"psnr", "psnr@hable", "relmse"}
-    rlbench("report", "conventions", "--results", kept / "evaluated", "--out", tmp_path / "report")
-    assert "| method | srgb | hable |" in (tmp_path / "report" / "conventions.md").read_text()
+    rlbench("report", "summary", "--results", kept / "evaluated", "--out", tmp_path / "report")
+    assert "### psnr@hable [dB]" in (tmp_path / "report" / "summary.md").read_text()
 
 
 def test_a_metric_that_fails_is_named_and_the_exit_code_is_1(kept, clip_folder, monkeypatch):

@@ -7,7 +7,7 @@ import pytest
 from rlbench import registry
 from rlbench.benchmark import results
 from rlbench.benchmark.api import run as rlbench_run
-from rlbench.benchmark.run_verdict import RunWarning
+from rlbench.benchmark.run_outcome import RunWarning
 from rlbench.registry import METHODS_VARIABLE
 from tests.cli.runner import rlbench
 from tests.conftest import write_noise, write_plugin

@@ -2,12 +2,10 @@
 
 from __future__ import annotations
 
-import json
 from pathlib import Path
 
 import pytest
 
-from rlbench import registry
 from tests.cli.runner import rlbench
 from tests.conftest import write_noise, write_plugin
 
@@ -31,7 +29,6 @@ COMMANDS = {  # words, and what the output has once the rows of `mean` are done
     "stress": (("stress", "--only", SECTION, "--quick", "--out", "s"), "mean: transformations ✓"),
     "speed": (("speed", "--sizes", 16, "--repeats", 1, "--out", "v"), "v/speed.csv"),
     "images": (("images", "--clips", "clips", "--spp", 1, "--out", "i"), "i/noise-1spp-02.png"),
-    "submit": (("submit", "r", "--clips", "clips"), "submission.rlbench.json: 1 cells"),
 }
 
 
@@ -41,14 +38,6 @@ def folder(tmp_path, monkeypatch):
     write_noise(tmp_path / "clips" / "noise")
     monkeypatch.chdir(tmp_path)
     return tmp_path
-
-
-@pytest.fixture
-def results(folder):
-    """Results of both methods in the folder `r`, from when the plugin was whole."""
-    words, _ = COMMANDS["run"]
-    rlbench(*words, "-m", "bad,mean", "--plugin", write_plugin(folder / "bad.py", "bad"))
-    registry.clear_plugins()
 
 
 def break_plugin(file: Path, fault: str) -> tuple[int, str]:
@@ -61,7 +50,7 @@ def break_plugin(file: Path, fault: str) -> tuple[int, str]:
 
 
 @pytest.mark.parametrize("fault", FAULTS)
-@pytest.mark.parametrize("command", [name for name in COMMANDS if name != "submit"])
+@pytest.mark.parametrize("command", COMMANDS)
 def test_a_fault_costs_the_rows_of_its_plugin_and_all_others_are_done(folder, command, fault):
     number, reason = break_plugin(folder / "bad.py", fault)
     words, done = COMMANDS[command]
@@ -69,32 +58,6 @@ def test_a_fault_costs_the_rows_of_its_plugin_and_all_others_are_done(folder, co
     assert done in output
     assert reason in output
     assert f"(bad.py:{number})" in output
-
-
-@pytest.mark.parametrize("fault", FAULTS)
-def test_a_submission_leaves_out_the_cells_of_a_fault(folder, fault):
-    number, reason = break_plugin(folder / "bad.py", fault)
-    methods = ("-m", "bad,mean", "--plugin", "bad.py")
-    rlbench(*COMMANDS["run"][0], *methods, code=1)
-    words, done = COMMANDS["submit"]
-    for selected in (methods, methods[2:]):  # by name, and all that the results hold
-        registry.clear_plugins()
-        output = rlbench(*words, *selected, code=1)
-        assert done in output
-        assert "left out: bad on noise at 1 spp, seed 0:" in output
-        assert reason in output
-        assert f"(bad.py:{number})" in output
-    document = json.loads((folder / "r" / "submission.rlbench.json").read_text())
-    assert [cell["method"] for cell in document["cells"]] == ["mean"]
-    rlbench("verify", "r/submission.rlbench.json", "--clips", "clips")
-
-
-def test_a_submission_of_failed_cells_alone_is_not_written(folder):
-    break_plugin(folder / "bad.py", "error in plan")
-    rlbench(*COMMANDS["run"][0], "-m", "bad", "--plugin", "bad.py", code=1)
-    output = rlbench("submit", "r", "--clips", "clips", "--plugin", "bad.py", code=2)
-    assert "r has no cell without an error, so there is nothing to submit" in output
-    assert not (folder / "r" / "submission.rlbench.json").exists()
 
 
 @pytest.mark.parametrize("command", COMMANDS)
@@ -106,8 +69,7 @@ def test_a_submission_of_failed_cells_alone_is_not_written(folder):
     ],
     ids=["unparsable", "missing"],
 )
-def test_a_file_that_is_no_python_is_an_error_at_once(folder, results, command, source, message):
-    (folder / "bad.py").unlink()
+def test_a_file_that_is_no_python_is_an_error_at_once(folder, command, source, message):
     if source:
         (folder / "bad.py").write_text(source)
     words, done = COMMANDS[command]

@@ -1,4 +1,4 @@
-"""The commands train, lr-find, replay and crossval: what they hand over, and what they refuse."""
+"""The commands train and crossval: what they hand over, and what they refuse."""
 
 from __future__ import annotations
 
@@ -26,7 +26,6 @@ def test_a_held_out_scene_is_neither_trained_nor_validated_on(monkeypatch):
     assert split.validation == {"train": [Path("train", "0"), Path("train", "14")]}
 
 
-@pytest.mark.parametrize("command", ["train", "lr-find"])
 @pytest.mark.parametrize(
     ("words", "message"),
     [
@@ -39,8 +38,8 @@ def test_a_held_out_scene_is_neither_trained_nor_validated_on(monkeypatch):
         (("--seeds", "390:402"), "--seeds 400, 401: these belong to test set 'unseen'"),
     ],
 )
-def test_clips_that_cannot_be_trained_on_are_refused(command, words, message):
-    assert message in rlbench(command, "-m", "oidn/retrained", *words, code=2)
+def test_clips_that_cannot_be_trained_on_are_refused(words, message):
+    assert message in rlbench("train", "-m", "oidn/retrained", *words, code=2)
 
 
 @pytest.mark.parametrize("preset", ["tiny", "mini", "standard", "paper", "development", "unseen"])
@@ -55,7 +54,7 @@ def test_no_seed_of_a_test_set_belongs_to_a_training_set():
     assert not seeds[True] & seeds[False]
 
 
-@pytest.mark.parametrize("command", ["train", "lr-find", "crossval"])
+@pytest.mark.parametrize("command", ["train", "crossval"])
 @pytest.mark.parametrize(
     ("budget", "message"),
     [
@@ -77,15 +76,13 @@ def test_numbers_that_train_nothing_are_refused(command, words, tmp_path):
     assert not (tmp_path / "runs").exists()
 
 
-@pytest.mark.parametrize("command", ["train", "lr-find"])
-def test_a_method_with_nothing_to_train_is_wrong_use(command):
-    assert "error: nothing to train: mean has" in rlbench(command, "-m", "mean", code=2)
+def test_a_method_with_nothing_to_train_is_wrong_use():
+    assert "error: nothing to train: mean has" in rlbench("train", "-m", "mean", code=2)
 
 
-@pytest.mark.parametrize("command", ["train", "lr-find"])
 @pytest.mark.parametrize("name", ["oidn", "oidn/fast"])
-def test_training_a_row_with_published_weights_by_its_name_is_refused(command, name, tmp_path):
-    output = rlbench(command, "-m", f"mean,{name}", "--out", tmp_path / "runs", code=2)
+def test_training_a_row_with_published_weights_by_its_name_is_refused(name, tmp_path):
+    output = rlbench("train", "-m", f"mean,{name}", "--out", tmp_path / "runs", code=2)
     assert f"error: {name} has weights that Intel trained and published, so rlbench" in output
     assert output.endswith("to train: oidn/retrained, oidn/retrained-small, oidn/tuned")
     assert not (tmp_path / "runs").exists()
@@ -192,16 +189,6 @@ def test_restart_archives_the_old_run(calls, tmp_path):
     output = rlbench(*words, "--restart")
     assert f"oidn/retrained: the old run is now in {tmp_path}/oidn-retrained.old-1" in output
     assert (tmp_path / "oidn-retrained.old-1").is_dir()
-
-
-@pytest.mark.parametrize("content", [None, b"junk"])
-def test_replay_of_another_file_is_refused(tmp_path, content):
-    file = tmp_path / "failed.safetensors"
-    if content is None:
-        assert "failed.safetensors' does not exist" in rlbench("replay", file, code=2)
-    else:
-        file.write_bytes(content)
-        assert "is not a file written by a training run" in rlbench("replay", file, code=2)
 
 
 def test_crossval_refuses_a_scene_that_the_preset_lacks():

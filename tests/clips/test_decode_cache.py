@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 import torch
 
-from rlbench.clips import cached_array, decode_cache, open_clip
-from rlbench.clips.cached_array import open_array, write_array
+from rlbench.clips import decode_cache, open_clip
+from rlbench.clips.decode_cache import open_array, write_array
 from rlbench.system import paths
 
 
@@ -69,7 +69,7 @@ def test_a_damaged_file_is_decoded_again(folder, kind):
 def test_an_intact_file_is_hashed_once_per_process(folder, monkeypatch):
     open_clip(folder).frame(0)
     open_clip(folder).frame(0)
-    monkeypatch.setattr(cached_array, "_checksum", None)  # hashing would now be an error
+    monkeypatch.setattr(decode_cache, "_checksum", None)  # hashing would now be an error
     monkeypatch.setattr(decode_cache, "read_exr", None)  # and so would decoding
     open_clip(folder).frame(0)
 

@@ -19,6 +19,7 @@ from tempfile import TemporaryDirectory
 from typing import Any
 
 import numpy as np
+import OpenEXR
 import pytest
 import tomli_w
 from hypothesis import HealthCheck, Phase, given, settings
@@ -26,9 +27,9 @@ from hypothesis import strategies as st
 
 from rlbench.clips import ClipError, read_header, verify, write_header
 from rlbench.clips.exr import read_exr, write_exr
-from rlbench.clips.header import FILE
-from rlbench.clips.header_limits import LIMITS, is_plain_name
+from rlbench.clips.header import FILE, LIMITS, is_plain_name
 from rlbench.clips.importers import formats, writer
+from rlbench.clips.importers.image_files import Channels, read_exr_image
 from rlbench.clips.importers.sequence import SourceError
 from rlbench.clips.importers.zarr_v2 import open_archive, read_array
 from rlbench.errors import RlbenchError
@@ -167,11 +168,18 @@ def test_a_damaged_exr_is_refused_or_read_without_a_crash(cases, tmp_path):
         with suppress(ClipError):
             assert read_exr(path, names, 20, 12).shape == (2, 20, 12)
 
+    fuzz_in_a_process(cases, edits(), check)
+
+
+def fuzz_in_a_process(
+    cases: int, strategy: st.SearchStrategy[Any], check: Callable[[Any], object]
+) -> None:
+    """As `fuzz`, in a child, because the OpenEXR library may end it."""
     errors, child_errors = os.pipe()
     if (child := os.fork()) == 0:
         os.dup2(os.open(os.devnull, os.O_WRONLY), 2)  # OpenEXR writes its errors there
         try:
-            fuzz(cases, edits(), check)
+            fuzz(cases, strategy, check)
         except BaseException as error:
             os.write(child_errors, repr(error).encode()[:4000])
         finally:
@@ -180,6 +188,88 @@ def test_a_damaged_exr_is_refused_or_read_without_a_crash(cases, tmp_path):
     with os.fdopen(errors, "rb") as pipe:
         assert pipe.read() == b""
     assert os.waitpid(child, 0)[1] == 0
+
+
+WINDOW = st.tuples(*(st.integers(low, low + 12) for low in (-8, -8, -2, -2))).filter(
+    lambda window: window[0] <= window[2] and window[1] <= window[3]
+)
+KINDS = {
+    "scan lines": {"type": OpenEXR.scanlineimage},
+    "tiles": {"type": OpenEXR.tiledimage, "tiles": OpenEXR.TileDescription()},
+}
+LOSSLESS = ("NO", "RLE", "ZIPS", "ZIP", "PIZ")
+
+
+def exr_header(data: tuple[int, ...], display: tuple[int, ...], kind: str, packing: str) -> dict:
+    windows = {"dataWindow": (data[:2], data[2:]), "displayWindow": (display[:2], display[2:])}
+    return KINDS[kind] | windows | {"compression": getattr(OpenEXR, f"{packing}_COMPRESSION")}
+
+
+def canvas(window: tuple[int, ...]) -> np.ndarray:
+    """An image of a window; the value of a pixel depends on its place alone, and is not 0."""
+    y, x = np.mgrid[window[1] : window[3] + 1, window[0] : window[2] + 1]
+    return (1000 + 32 * y + x).astype(np.float32)
+
+
+@pytest.mark.parametrize("cases", CASES)
+def test_any_two_windows_give_the_image_of_the_display_window(cases, tmp_path):
+    path = tmp_path / "image.exr"
+
+    def check(example: tuple[Any, ...]) -> None:
+        data, display, kind, packing = example
+        header = exr_header(data, display, kind, packing)
+        OpenEXR.File(header, {"Z": canvas(data)}).write(str(path))
+        y, x = np.mgrid[display[1] : display[3] + 1, display[0] : display[2] + 1]
+        has_data = (data[0] <= x) & (x <= data[2]) & (data[1] <= y) & (y <= data[3])
+        if not has_data.any():
+            with pytest.raises(SourceError, match="no pixel of its image"):
+                read_exr_image(path, Channels((("Z",),)))
+            return
+        image = read_exr_image(path, Channels((("Z",),)), fill=-1)
+        np.testing.assert_array_equal(image.pixels[..., 0], np.where(has_data, canvas(display), -1))
+        np.testing.assert_array_equal(image.empty[..., 0], ~has_data)
+        assert image.cut == canvas(data).size - has_data.sum()
+
+    kinds, packings = st.sampled_from(sorted(KINDS)), st.sampled_from(LOSSLESS)
+    fuzz(cases, st.tuples(WINDOW, WINDOW, kinds, packings), check)
+
+
+PARTS = st.lists(
+    st.tuples(st.text("abcXYZ._ 0", min_size=1, max_size=6), WINDOW),
+    min_size=2,
+    max_size=4,
+    unique_by=lambda part: part[0],
+)
+
+
+@pytest.mark.parametrize("cases", CASES)
+def test_a_part_of_a_damaged_file_is_itself_or_an_error(cases, tmp_path):
+    path, display = tmp_path / "parts.exr", (-8, -8, 10, 10)
+
+    def check(example: tuple[Any, ...]) -> None:
+        parts, kind, changes = example
+        made = [
+            OpenEXR.Part(
+                exr_header(data, display, kind, "ZIP"), {"Z": canvas(data) + 4096 * index}, name
+            )
+            for index, (name, data) in enumerate(parts)
+        ]
+        OpenEXR.File(made).write(str(path))
+        if changes:
+            path.write_bytes(damage(path.read_bytes(), changes))
+        for index, (name, data) in enumerate(parts):
+            try:
+                image = read_exr_image(path, Channels((("Z",),), name), fill=-1)
+            except SourceError:
+                assert changes
+                continue
+            # a flipped bit of a header may move a window; of another part there is no value
+            values = np.unique(image.pixels[~image.empty])
+            assert changes or len(values) == len(np.unique(canvas(data)))
+            assert set(values // 4096) <= {index}
+
+    zeros = st.lists(st.tuples(st.just("zero"), st.floats(0, 1), st.integers(0, 255)), max_size=3)
+    fuzz_in_a_process(cases, st.tuples(PARTS, st.sampled_from(sorted(KINDS)), zeros), check)
 
 
 # Zips

@@ -18,6 +18,7 @@ from rlbench.clips import decode_cache
 from rlbench.clips.exr import write_exr
 from rlbench.clips.stored import (
     ClipError,
+    find_all_clips,
     has_frame,
     open_clip,
     sample_order,
@@ -27,6 +28,7 @@ from rlbench.clips.stored import (
 )
 from rlbench.system import paths
 from tests.clips.clip_folders import FRAMES, HEADER, STORED, H, W, content, touch_up, write_clip
+from tests.conftest import write_noise
 
 
 def decoded_files() -> set[str]:
@@ -360,3 +362,32 @@ def test_an_interrupted_write_leaves_the_old_file(tmp_path):
     with pytest.raises(KeyboardInterrupt):
         _interrupted(path)
     assert [p.read_text() for p in tmp_path.iterdir()] == ["old"]
+
+
+# Folders that a user names
+
+
+def test_clips_of_several_folders_are_found_in_order(tmp_path):
+    clips = [write_noise(tmp_path / "a" / name) for name in ("attic", "foyer")]
+    clips.append(write_noise(tmp_path / "cellar"))
+    assert find_all_clips([tmp_path / "a", tmp_path / "cellar"]) == clips
+
+
+def test_a_folder_with_clips_further_down_names_the_folders_that_hold_them(tmp_path):
+    for renderer in ("falcor", "unreal"):
+        write_noise(tmp_path / "clips" / renderer / "attic")
+    with pytest.raises(ClipError, match=r"further down.*: \S+/clips/falcor, \S+/clips/unreal$"):
+        find_all_clips([tmp_path / "clips"])
+
+
+def test_a_folder_without_anything_says_what_a_clip_is(tmp_path):
+    with pytest.raises(
+        ClipError, match="no clip in .*; a clip is a folder that contains clip.toml"
+    ):
+        find_all_clips([tmp_path])
+
+
+def test_a_file_in_place_of_a_folder_is_named(tmp_path):
+    (tmp_path / "a.exr").touch()
+    with pytest.raises(ClipError, match="a.exr is a file. Name a folder"):
+        find_all_clips([tmp_path / "a.exr"])

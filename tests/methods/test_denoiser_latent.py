@@ -14,7 +14,7 @@ from methods.ours.initialization import initialize
 from methods.ours.method import Ours
 from methods.ours.train import config_task
 from rlbench import registry
-from rlbench.benchmark.work import count_multiply_adds
+from rlbench.benchmark.speed import count_multiply_adds
 from rlbench.clips.procedural.clip import procedural_clip
 from rlbench.frames import Size
 from rlbench.run import run_clip, unroll

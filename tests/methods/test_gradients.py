@@ -13,27 +13,35 @@ import torch
 from torch import Tensor
 
 from methods.ours.experiments.gradients import section
-from methods.ours.experiments.gradients.estimators import ESTIMATORS, Estimator, ScoreFunction
-from methods.ours.experiments.gradients.measure import gradient_row, write_tables
-from methods.ours.experiments.gradients.measurement import measure
-from methods.ours.experiments.gradients.problem import (
+from methods.ours.experiments.gradients.estimators import (
+    ESTIMATORS,
+    Estimator,
+    GradientStatistics,
+    ScoreFunction,
+    measure,
+)
+from methods.ours.experiments.gradients.exact_gradient import (
     BUDGETS,
     DENOISERS,
     TileAction,
-    make_problem,
-)
-from methods.ours.experiments.gradients.ratio_saturation import adam_step, clipped_shares
-from methods.ours.experiments.gradients.statistics import GradientStatistics
-from methods.ours.experiments.gradients.truth import (
     expected_error,
+    hilbert_order,
     list_outcomes,
+    make_problem,
     relaxed_error,
+    round_systematically,
     true_gradient,
 )
-from methods.ours.experiments.known_optimum import Direct, ToyProblem
+from methods.ours.experiments.gradients.measure import (
+    adam_step,
+    clipped_shares,
+    gradient_row,
+    write_tables,
+)
+from methods.ours.experiments.toy_problem import Direct, ToyProblem
 from methods.ours.policy import SamplerLearner
-from methods.ours.policy.appo_config import AppoSettings
-from methods.ours.policy.importance_ratio import joint_ratio, pixel_ratios
+from methods.ours.policy.appo import AppoSettings
+from methods.ours.policy.joint_appo import joint_ratio, pixel_ratios
 from rlbench.checks.result import Verdict
 from rlbench.training.surrogate_gradient import relaxed_counts
 
@@ -166,6 +174,51 @@ def test_a_budget_of_zero_has_no_gradient():
     counts.sum().backward()
     assert not counts.any()
     assert not density.grad.any()
+
+
+# systematic rounding
+
+
+def curve(order: int) -> list[tuple[int, int]]:
+    """The Hilbert curve by its recursive definition: rows and columns of a 2^order square."""
+    if order == 0:
+        return [(0, 0)]
+    half, quarter = 2 ** (order - 1), curve(order - 1)
+    first = [(x, y) for y, x in quarter]  # mirrored at the diagonal
+    last = [(2 * half - 1 - x, half - 1 - y) for y, x in quarter]  # at the other diagonal
+    return [
+        *first,
+        *((y, half + x) for y, x in quarter),
+        *((half + y, half + x) for y, x in quarter),
+        *last,
+    ]
+
+
+@pytest.mark.parametrize("order", range(7))
+def test_the_curve_equals_its_recursive_definition(order):
+    side = 2**order
+    pixels = [(int(i) // side, int(i) % side) for i in hilbert_order(side, side)]
+    transposed = [(x, y) for y, x in curve(order)]
+    assert pixels in (curve(order), transposed)
+
+
+@pytest.mark.parametrize(("h", "w"), [(1, 1), (1, 7), (77, 123), (64, 48)])
+def test_the_curve_visits_each_pixel_of_an_odd_sized_image_once(h, w):
+    assert sorted(hilbert_order(h, w).tolist()) == list(range(h * w))
+
+
+@pytest.mark.parametrize("offset", [0.0, 0.25, 0.6, 0.99])
+def test_the_counts_equal_marks_placed_one_by_one(offset):
+    generator = torch.Generator().manual_seed(0)
+    shares = 3 * torch.rand(1, 5, 7, generator=generator, dtype=torch.float64)
+    shares *= round(float(shares.sum())) / shares.sum()
+    counts, end = shares.floor().flatten(), 0.0
+    for pixel in hilbert_order(5, 7).tolist():
+        before, end = end, end + float(shares.flatten()[pixel] % 1)
+        counts[pixel] += int(end + offset + 1e-9) - int(before + offset + 1e-9)
+    rounded = round_systematically(shares, torch.tensor([offset], dtype=torch.float64))
+    assert torch.equal(rounded.flatten(), counts)
+    assert rounded.sum() == shares.sum().round()
 
 
 # statistics
@@ -366,7 +419,7 @@ def test_the_joint_ratio_leaves_the_clip_range_where_pixel_ratios_stay():
 def test_the_step_is_that_of_adam():
     """torch.optim.Adam on the same gradient moves the mean action by the same amount."""
     from methods.ours.experiments.compare_learners import initial_sampler
-    from methods.ours.experiments.toy_scenes import toy_frames
+    from methods.ours.experiments.toy_problem import toy_frames
     from methods.ours.policy import BlockPolicyGradient, BlockReinforce
 
     sampler = initial_sampler(0)

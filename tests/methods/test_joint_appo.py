@@ -12,9 +12,8 @@ from hypothesis import strategies as st
 from torch import nn
 
 from methods.ours.method import Ours
-from methods.ours.one_policy import ActingMethod, episode_losses
 from methods.ours.policy.joint_appo import JointAppo, Trajectory, vtrace
-from methods.ours.train import training_task
+from methods.ours.train import ActingMethod, episode_losses, training_task
 from rlbench import registry
 from rlbench.clips.procedural.clip import procedural_clip
 from rlbench.frames import Size

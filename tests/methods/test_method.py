@@ -10,9 +10,9 @@ import pytest
 import torch
 from torch import Tensor
 
-from methods.ours.method import Ours, build
-from methods.ours.rejection import KeepHistory
-from methods.ours.state import RecurrentState, gbuffer_features
+from methods.ours.history import RecurrentState, gbuffer_features
+from methods.ours.method import DENSITIES, Ours, build
+from methods.ours.networks import SAMPLE_ENCODINGS
 from rlbench.clips.procedural.clip import procedural_clip
 from rlbench.frames import Frame, GBuffer, Samples, Size
 
@@ -22,13 +22,13 @@ CPU = torch.device("cpu")
 GBUFFER = next(iter(procedural_clip(seed=3, size=Size(1, 32, 32), frames=1))).gbuffer
 
 
-@pytest.mark.parametrize(("variant", "channels"), [("latent-C", 3), ("latent-C+count", 4)])
-def test_the_mean_that_enters_the_encoder_is_that_of_the_drawn_samples(variant, channels):
+@pytest.mark.parametrize(("encoding", "channels"), [("mean", 3), ("mean and count", 4)])
+def test_the_mean_that_enters_the_encoder_is_that_of_the_drawn_samples(encoding, channels):
     clip = procedural_clip(seed=3, size=Size(1, 16, 24), frames=1)
     (frame,) = clip
     counts = torch.arange(16 * 24).view(1, 1, 16, 24) % 9
     samples = Samples(frame.pool.read(frame.pool.empty(), counts), counts)
-    values = build(variant, CPU, "random").sample_encoding.encode(samples)
+    values = SAMPLE_ENCODINGS[encoding].encode(samples)
     assert values.shape[1] == channels
     for x, y in ((0, 0), (3, 2), (8, 5), (23, 15)):
         n = int(counts[0, 0, y, x])
@@ -188,16 +188,10 @@ def test_without_accumulated_radiance_sampler_and_encoder_read_the_same(variant)
 
 
 @pytest.mark.parametrize(
-    ("variant", "low", "high"),
-    [
-        ("", math.exp(-1.5), math.exp(1.5)),
-        ("latent", math.exp(-1.5), math.exp(1.5)),
-        ("paper", 0, 2),
-    ],
+    ("name", "low", "high"), [("exponential", math.exp(-1.5), math.exp(1.5)), ("linear", 0, 2)]
 )
-def test_densities_are_exponential_and_in_the_papers_recipe_linear(variant, low, high):
-    method = build(variant, CPU, "random")
-    density = method.action_density(torch.tensor([-2.0, -1.0, 0.0, 1.0, 2.0]).view(1, 1, 1, 5))
+def test_actions_beyond_the_range_have_the_density_of_its_ends(name, low, high):
+    density = DENSITIES[name](torch.tensor([-2.0, -1.0, 0.0, 1.0, 2.0]).view(1, 1, 1, 5))
     torch.testing.assert_close(density.flatten(), torch.tensor([low, low, 1.0, high, high]))
 
 
@@ -234,7 +228,7 @@ def test_a_static_pixel_trusts_all_its_samples(after_one):
     method, frame, before = after_one
     gbuffer = replace(frame.gbuffer, static=True)
     samples = draw(frame, torch.full((1, 1, 32, 32), 3))
-    accumulator = replace(method.accumulator, rejection=KeepHistory())  # antilag aside
+    accumulator = replace(method.accumulator, antilag=False)
     keep = replace(method, accumulator=accumulator)
     _, after = keep.denoise(gbuffer.select(method.traits.inputs), samples, before)
     assert (after.radiance.accumulated_spp == 5).all()

@@ -9,8 +9,8 @@ import torch
 from torch import nn
 from torch.nn import functional as F
 
+from methods.ours import VARIANTS
 from methods.ours.networks import Encoder, Networks, Sampler
-from methods.ours.variants import VARIANTS
 from rlbench.ops.init import kaiming_init
 
 

@@ -10,8 +10,8 @@ import pytest
 import torch
 
 from methods.ours.experiments.oracle_map import OracleResult, _append, optimize_map, score_frame
-from methods.ours.frame_problem import FrameProblem
 from methods.ours.method import build
+from methods.ours.problem import FrameProblem
 from rlbench.clips.procedural.clip import procedural_clip
 from rlbench.frames import Size, StoredPool
 from tests.conftest import write_noise

@@ -12,10 +12,11 @@ import torch
 from torch import Tensor, nn
 from torch.nn import functional as F
 
-from methods.ours.density import DENSITIES
 from methods.ours.experiments import compare_learners
-from methods.ours.experiments.evaluation import Evaluation, ToyEnv
-from methods.ours.experiments.known_optimum import (
+from methods.ours.experiments.toy_evaluation import TABLE, Evaluation, ToyEnv
+from methods.ours.experiments.toy_problem import (
+    CHANNELS,
+    EPISODE_FRAMES,
     MODES,
     Direct,
     Filter,
@@ -23,9 +24,9 @@ from methods.ours.experiments.known_optimum import (
     ToyProblem,
     greedy_counts,
     toy_density,
+    toy_frames,
 )
-from methods.ours.experiments.learner_table import TABLE
-from methods.ours.experiments.toy_scenes import CHANNELS, EPISODE_FRAMES, toy_frames
+from methods.ours.method import DENSITIES
 from methods.ours.policy import (
     LEARNERS,
     BlockPolicyGradient,
@@ -37,12 +38,11 @@ from methods.ours.policy import (
     SamplerLearner,
     StochasticLearner,
     appo,
+    gamma_gradient_per_sample,
     make_learner,
 )
-from methods.ours.policy.appo_config import AppoSettings
 from methods.ours.policy.critic import make_critic_learner
-from methods.ours.policy.gamma_gradient import gamma_gradient_per_sample
-from methods.ours.policy.surrogate_gradient import kuznetsov_gradient_per_sample
+from methods.ours.policy.sample_gradients import kuznetsov_gradient_per_sample
 from rlbench.frames import Frame, GBuffer, Reference, Samples
 from rlbench.sampling import allocate_counts
 
@@ -371,7 +371,7 @@ def test_rllib_learns_by_single_pixels():
         lambda: ToyEnv(Direct(), 0, SIDE),
         lambda: compare_learners.initial_sampler(0),
         1500,
-        AppoSettings(learning_rate=2e-3),
+        appo.AppoSettings(learning_rate=2e-3),
     )
     assert evaluation.score(trained) > 0.3
 
@@ -409,22 +409,22 @@ def test_noise_is_constant_within_a_block_and_differs_between_blocks(corner):
     assert blocks[..., 0, 0].unique().numel() == 2 * 3 * 4
 
 
-@pytest.mark.parametrize("density", DENSITIES.values(), ids=DENSITIES)
-def test_the_policy_gradient_is_that_of_the_error_at_a_fixed_budget(density):
+@pytest.mark.parametrize("name", DENSITIES)
+def test_the_policy_gradient_is_that_of_the_error_at_a_fixed_budget(name):
     """Independent pixels with fractional counts: n samples leave sigma^2 / n."""
     generator = torch.Generator().manual_seed(0)
     sigma = torch.rand(1, 1, 8, 8, generator=generator) + 0.5
     mean = (torch.rand(1, 1, 8, 8, generator=generator) * 1.8 - 0.9).requires_grad_()
 
     def error(action: Tensor) -> tuple[Tensor, Tensor]:
-        shares = density(action)
+        shares = DENSITIES[name](action)
         counts = 4 * shares / shares.mean((-2, -1), keepdim=True)
         return sigma.square() / counts, counts
 
     (true,) = torch.autograd.grad(error(mean)[0].sum(), mean)
     policy = BlockPolicyGradient(action_std=0.02, draws=8192, block=1, margin=0, advantage_clip=1e9)
     actions = policy.antithetic_actions(mean, (0, 0), generator)
-    batch = RolloutBatch(actions, *error(actions), (0, 0), density.multiplicative)
+    batch = RolloutBatch(actions, *error(actions), (0, 0), name == "exponential")
     policy.loss(mean, batch).backward()
     gradient = mean.grad - torch.autograd.grad(mean.mean().square(), mean)[0]  # less the drift
     similarity = F.cosine_similarity(gradient.flatten(), true.flatten(), dim=0)

@@ -12,8 +12,7 @@ import torch
 from safetensors.torch import load_file
 
 from methods.ours.experiments import retrain_sampler
-from methods.ours.experiments.retrain_sampler import retrain
-from methods.ours.experiments.sampler_task import SamplerTask
+from methods.ours.experiments.retrain_sampler import SamplerTask, retrain
 from methods.ours.method import CARDS
 from methods.ours.policy import LEARNERS, RLLIB_APPO, make_learner
 from rlbench.weights import read_card

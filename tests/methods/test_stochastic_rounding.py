@@ -11,8 +11,14 @@ import torch
 from torch import Tensor
 
 from methods.ours.experiments.gradients.estimators import ESTIMATORS, Estimator
-from methods.ours.experiments.known_optimum import Direct, Filter, FixedFilter, Mode, ToyProblem
-from methods.ours.experiments.toy_scenes import toy_frames
+from methods.ours.experiments.toy_problem import (
+    Direct,
+    Filter,
+    FixedFilter,
+    Mode,
+    ToyProblem,
+    toy_frames,
+)
 from methods.ours.policy import (
     AllocationProblem,
     SamplerLearner,

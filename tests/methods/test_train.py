@@ -12,11 +12,11 @@ from torch.nn import functional as F
 from baselines.accumulate.density import contrast as contrast_of
 from baselines.accumulate.density import mix_with_uniform
 from baselines.oidn.method import Oidn
-from methods.ours.episode_problem import EpisodeProblem
+from methods.ours import VARIANTS
 from methods.ours.method import assemble
 from methods.ours.policy import BlockReinforce
+from methods.ours.problem import EpisodeProblem
 from methods.ours.train import training_task
-from methods.ours.variants import VARIANTS
 from rlbench.clips.procedural.clip import procedural_clip
 from rlbench.frames import Samples, Size
 from rlbench.ops.init import kaiming_init
@@ -54,7 +54,7 @@ def test_a_step_has_the_same_length_at_a_large_loss_as_at_a_small_one():
 def test_training_starts_with_the_image_of_open_image_denoise(variant):
     """In the first frame no radiance is accumulated, and the weights of the state are zero."""
     pytest.importorskip("pyoidn", reason="the extra oidn is not installed")
-    from baselines.oidn_intel.networks import load_network
+    from baselines.oidn_intel.extract import load_network
 
     method = training_task(variant, CPU, seed=0).method
     method.networks.eval()

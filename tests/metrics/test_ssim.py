@@ -113,6 +113,16 @@ def test_ms_ssim_with_too_many_scales_names_the_alternative():
         MS_SSIM.score(frame)
 
 
+@pytest.mark.parametrize("levels", [(0.5, 0.5001), (0.9, 0.9002), (1.0, 1.0), (0.0, 1e-4)])
+def test_two_flat_images_are_no_more_than_equal(levels):
+    image, reference = (torch.full((1, 3, 180, 200), level) for level in levels)
+    for score in (ssim, ms_ssim):
+        # by the luminance term alone, which float32 has to 1e-5 here
+        expected = (2 * levels[0] * levels[1] + 1e-4) / (levels[0] ** 2 + levels[1] ** 2 + 1e-4)
+        expected **= 1 if score is ssim else SCALE_WEIGHTS[-1]
+        assert expected - 5e-5 <= float(score(image, reference)) <= 1
+
+
 @pytest.mark.parametrize("scales", [5, 4])
 def test_ms_ssim_of_an_inverted_image_is_finite(scales):
     _, reference = encoded_pair(170, 170, n=1)

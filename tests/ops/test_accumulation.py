@@ -6,8 +6,8 @@ import pytest
 import torch
 from torch import Tensor
 
+from methods.ours.history import network_features
 from methods.ours.method import build
-from methods.ours.state import network_features
 from rlbench.clips.procedural.clip import procedural_clip
 from rlbench.frames import GBuffer, Samples, Size
 from rlbench.ops.accumulation import (

@@ -6,7 +6,11 @@ import pytest
 import torch
 from torch import nn
 
-from rlbench.ops.unet import BASE_WIDTHS, FAST_WIDTHS, SMALL_WIDTHS, UNet
+from rlbench.ops.unet import UNet
+from rlbench.ops.unet_widths import BASE_WIDTHS, FAST_WIDTHS, UNetWidths
+
+SMALL_WIDTHS = UNetWidths(32, 24, 32, 40, 48, (56, 56), (48, 48), (32, 32), (32, 16))
+
 
 ENCODER = [
     "enc_conv0",

@@ -17,8 +17,7 @@ from rlbench.benchmark.clip_sources import StoredSource
 from rlbench.benchmark.run_plan import RunPlan
 from rlbench.benchmark.runner import RunSummary, measure
 from rlbench.parallel.executor import LOCAL, ExecutorError, Resources
-from rlbench.parallel.ray_executor import RayExecutor, open_executor
-from rlbench.parallel.worker import WorkerEnvironment
+from rlbench.parallel.ray_executor import RayExecutor, WorkerEnvironment, open_executor
 from rlbench.registry import METHODS_VARIABLE, list_plugins, use_plugin
 from rlbench.render.jobs.job import Job
 from rlbench.render.jobs.render_clips import render_missing
@@ -87,7 +86,7 @@ def test_a_clip_that_cannot_be_read_does_not_stop_the_others(tmp_path):
     """Times are measured before cells are distributed, and both clips would share one."""
     folders = [write_noise(tmp_path / name) for name in ("aaa", "bbb")]
     (folders[0] / "pool.path.0000.exr").write_bytes(b"no EXR")
-    plan = RunPlan(("mean",), tuple(map(StoredSource, folders)), target_spp=(1.0,), repeats=2)
+    plan = RunPlan(("mean",), tuple(map(StoredSource, folders)), spp=(1.0,), repeats=2)
     summary = measure(plan, tmp_path / "r", executor=replace(LOCAL, exclusive=False))
     assert summary == RunSummary(measured=1, failed=1)
     rows = results.read(tmp_path / "r")
@@ -196,7 +195,7 @@ def test_scores_from_ray_and_from_this_process_are_bit_identical(workers, tmp_pa
     plan = RunPlan(
         ("mean", "ours", "loose", "far"),
         clips,
-        target_spp=(0.5, 2.0),
+        spp=(0.5, 2.0),
         repeats=2,
         cost="paper-2080ti",
     )
@@ -214,7 +213,7 @@ def test_a_method_that_kills_its_worker_is_a_row_with_the_reason(workers, clip_f
     body = "import os; os.kill(os.getpid(), 9)"
     use_plugin(write_plugin(tmp_path / "deadly.py", "deadly", body=body))
     clips = (StoredSource(clip_folder),)
-    plan = RunPlan(("deadly", "mean"), clips, target_spp=(1.0,), repeats=2, cost="paper-2080ti")
+    plan = RunPlan(("deadly", "mean"), clips, spp=(1.0,), repeats=2, cost="paper-2080ti")
     summary = measure(plan, tmp_path / "r", executor=workers)
     assert summary == RunSummary(measured=1, failed=1)
     rows = results.read(tmp_path / "r")

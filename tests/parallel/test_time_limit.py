@@ -6,8 +6,7 @@ import math
 
 import pytest
 
-from rlbench.parallel.executor import LOCAL
-from rlbench.parallel.time_limit import OutOfTimeError, TimeLimit, TimeLimitedExecutor
+from rlbench.parallel.executor import LOCAL, OutOfTimeError, TimeLimit, TimeLimitedExecutor
 
 
 def double(job, on_progress):

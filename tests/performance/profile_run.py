@@ -39,12 +39,12 @@ STAGES = (
         ("rlbench.render.jobs.live_pool", "scatter_factor"),
         ("rlbench.render.jobs.live_pool", "open_wavefronts"),
     )),
-    Stage("building methods", "methods", (("rlbench.benchmark.cell_loader", "CellLoader._build"),)),
+    Stage("building methods", "methods", (("rlbench.benchmark.run_plan", "CellLoader._build"),)),
     Stage("timing methods", "methods", (
-        ("rlbench.benchmark.timing_cache", "TimingCache.__call__"),
-        ("rlbench.benchmark.scatter", "ScatterMeter._counts"),
+        ("rlbench.benchmark.timing", "TimingCache.__call__"),
+        ("rlbench.benchmark.timing", "ScatterMeter._counts"),
     )),
-    Stage("frames of methods", "methods", (("rlbench.benchmark.cell_runner", "run_clip"),)),
+    Stage("frames of methods", "methods", (("rlbench.benchmark.runner", "run_clip"),)),
     Stage("metrics", "metrics", (
         ("rlbench.benchmark.scoring", "compare_frame"),
         ("rlbench.benchmark.scoring", "score_frame"),
@@ -55,11 +55,11 @@ STAGES = (
         ("rlbench.benchmark.clip_sources", "open_clip"),
         ("rlbench.benchmark.api", "select_clips"),
     )),
-    Stage("hashes of content", "suite", (("rlbench.benchmark.cell_ids", "CellIds.cell_id"),)),
+    Stage("hashes of content", "suite", (("rlbench.benchmark.content_hash", "CellIds.cell_id"),)),
     Stage("reading and writing results", "suite", (
-        ("rlbench.benchmark.cell_store", "CellStore.__init__"),
-        ("rlbench.benchmark.cell_store", "CellStore.write"),
-        ("rlbench.benchmark.run_table", "read_outcome"),
+        ("rlbench.benchmark.runner", "CellStore.__init__"),
+        ("rlbench.benchmark.runner", "CellStore.write"),
+        ("rlbench.benchmark.run_outcome", "read_outcome"),
     )),
 )  # fmt: skip
 REST = Stage("everything else, with imports", "suite")

@@ -8,7 +8,7 @@ import pytest
 import torch
 from scipy import ndimage
 
-from baselines.dasr.losses import laplacian_of_gaussian
+from baselines.dasr.train import laplacian_of_gaussian
 
 WINDOW = {"mode": "constant", "radius": 5}
 

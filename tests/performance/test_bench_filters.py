@@ -10,10 +10,8 @@ import pytest
 import torch
 from torch import Tensor
 
-from baselines.eaw.filter import Config, atrous_pass
-from baselines.eaw.method import Eaw
-from baselines.svgf.method import BASE, LOG2E, atrous_filter, build, depth_gradient
-from baselines.svgf.wavelet import Edges
+from baselines.eaw.method import Config, Eaw, atrous_pass
+from baselines.svgf.method import BASE, LOG2E, Edges, atrous_filter, build, depth_gradient
 from rlbench.clips.procedural.clip import procedural_clip
 from rlbench.frames import Frame, Samples, Size
 from rlbench.ops.padded_rows import PaddedRows

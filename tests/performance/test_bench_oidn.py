@@ -22,7 +22,7 @@ SIZE = Size(1, 720, 720)
 def test_oidn(benchmark, name):
     """Exposure, transfer function, network and their inverses; network and image are the same."""
     pytest.importorskip("pyoidn", reason="the extra oidn is not installed")
-    from baselines.oidn_intel.library import Filter, FilterSettings
+    from baselines.oidn_intel.method import Filter, FilterSettings
 
     oidn = method.build("", torch.device("cpu"), None)
     (result,) = run_clip(oidn, procedural_clip(3, SIZE, frames=1), 1.0)

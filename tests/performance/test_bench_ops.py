@@ -14,7 +14,8 @@ from rlbench.ops.exposure import autoexposure
 from rlbench.ops.losses import ms_ssim
 from rlbench.ops.reprojection import reproject, reproject_bicubic
 from rlbench.ops.transfer import pu_forward, pu_inverse
-from rlbench.ops.unet import FAST_WIDTHS, UNet
+from rlbench.ops.unet import UNet
+from rlbench.ops.unet_widths import FAST_WIDTHS
 from rlbench.ops.upsample import UpsampleConcatConv
 
 Loss = Callable[[torch.Tensor, torch.Tensor], torch.Tensor]

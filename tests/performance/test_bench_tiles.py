@@ -10,7 +10,7 @@ from typing import Any
 
 import pytest
 
-from baselines.eaw.still import Still
+from baselines.eaw.method import Still
 from rlbench import registry
 from rlbench.checks.frame_edits import to_clip
 from rlbench.clips.procedural.clip import procedural_clip

@@ -20,6 +20,7 @@ METHODS = {  # dB at 1 spp, dB a doubling, plan ms, denoise ms
     "ours/latent-small": (29.2, 1.1, 2.2, 4.5),
 }
 CLIPS, FRAMES = 2, 4
+OFFSET = sum(SCENES.values()) / len(SCENES)
 
 
 def psnr(method, scene, spp, clip=0, frame=0):
@@ -31,16 +32,17 @@ def psnr(method, scene, spp, clip=0, frame=0):
 
 
 def rows(methods=METHODS, device="NVIDIA RTX 2080 Ti", profile="profile paper-2080ti"):
-    table = []
-    for method in methods:
-        for scene in SCENES:
-            for spp in BUDGETS:
-                for clip in range(CLIPS):
-                    table += measured_cell(method, scene, spp, clip, device, profile)
-    return table
+    return [
+        row
+        for method in methods
+        for scene in SCENES
+        for spp in BUDGETS
+        for clip in range(CLIPS)
+        for row in _cell(method, scene, spp, clip, device, profile)
+    ]
 
 
-def measured_cell(method, scene, spp, clip, device, profile):
+def _cell(method, scene, spp, clip, device, profile):
     def row(frame, metric, value, unit, direction, convention):
         return Row(
             "r1", method, f"{scene}-{clip}", scene, spp, spp * 0.99, frame, metric, value, unit,
@@ -48,25 +50,33 @@ def measured_cell(method, scene, spp, clip, device, profile):
         )  # fmt: skip
 
     _, _, plan, denoise = METHODS[method]
-    cell_rows = []
     for frame in range(FRAMES):
         value = psnr(method, scene, spp, clip, frame)
-        cell_rows.append(row(frame, "psnr", value, "dB", "higher", "peak 1, clipped sRGB"))
-        cell_rows.append(row(frame, "relmse", 10 ** (-value / 10), "", "lower", "linear radiance"))
-    for metric, value in {
-        "plan_ms": plan,
-        "plan_p95_ms": plan * 1.1,
-        "denoise_ms": denoise,
-        "denoise_p95_ms": denoise * 1.2,
-    }.items():
-        cell_rows.append(row(-1, metric, value, "ms", "lower", "p50 of 50"))
-    cell_rows.append(row(-1, "sample_ms", SAMPLE_MS[scene], "ms", "lower", profile))
-    return cell_rows
+        yield row(frame, "psnr", value, "dB", "higher", "peak 1, clipped sRGB")
+        yield row(frame, "relmse", 10 ** (-value / 10), "", "lower", "linear radiance")
+    times = {"gbuffer_ms": 0.0, "plan_ms": plan, "allocate_ms": 0.0, "denoise_ms": denoise}
+    times |= {"sampling_ms": 0.99 * spp * SAMPLE_MS[scene]}
+    times |= {"inference_p95_ms": 1.2 * (plan + denoise)}
+    for metric, value in times.items():
+        yield row(-1, metric, value, "ms", "lower", "p50 of 50")
+    yield row(-1, "sample_ms", SAMPLE_MS[scene], "ms", "lower", profile)
+
+
+def renamed(table, **names):
+    """The rows of some methods under other names: `ours="mine"`."""
+    return [replace(row, method=names.get(row.method, row.method)) for row in table]
 
 
 def as_published(table):
     """The rows of `ours` under the name of the paper's method, which is `ours/latent`."""
-    return [replace(row, method="ours/latent") if row.method == "ours" else row for row in table]
+    return renamed(table, ours="ours/latent")
+
+
+def cells(page, title, start):
+    """The cells after the first of a line of a Markdown table, below a heading; not bold."""
+    section = page[page.index(f"### {title}") :]
+    line = next(x for x in section.splitlines() if x.startswith(f"| {start}"))
+    return [cell.strip(" *") for cell in line.split("|")[2:-1]]
 
 
 @pytest.fixture(scope="session")

@@ -51,7 +51,7 @@ def _cell(name, scene, spp, value, formula, size, device):
 
     plan, denoise = 0.25 * formula.fixed_ms, 0.75 * formula.fixed_ms
     times = {"plan_ms": plan, "denoise_ms": denoise, "inference_p95_ms": 2 * formula.fixed_ms}
-    times |= {"plan_p95_ms": 2 * plan, "denoise_p95_ms": 3 * denoise}
+    times |= {"gbuffer_ms": 0.0, "allocate_ms": 0.0, "sampling_ms": spp * formula.sample_ms}
     return [
         *(row(frame, "psnr", value, "dB", "higher", "peak 1") for frame in range(2)),
         *(row(-1, metric, ms, "ms", "lower", "median") for metric, ms in times.items()),

@@ -10,8 +10,14 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from reports.analysis.comparability import ReportError
-from reports.compare import compare, comparison_text
+from reports.analysis.rows import ReportError
+from reports.compare import (
+    compare,
+    comparison_text,
+    interquartile_mean,
+    performance_profile,
+    probability_of_improvement,
+)
 from rlbench.benchmark.results import to_dataframe
 from tests.reports.conftest import SCENES, rows
 
@@ -78,26 +84,42 @@ def test_an_error_that_is_lower_leads(results):
     assert budget.improvement == 1.0
 
 
-def test_the_text_has_a_sentence_for_each_budget_and_how_to_read_it(comparison):
+def test_the_answer_is_text_and_json(comparison):
     text = comparison_text(comparison)
     assert text.count("spp: theirs leads by 0.95 dB [0.36, 1.54]") == len(comparison.budgets)
     assert "4 scenes, 8 clips, 1 order of samples, on NVIDIA RTX 2080 Ti" in text
     deviation = np.std(list(OFFSETS.values()), ddof=1)
     assert f"resolvable from {2.128 * deviation:.2f} dB" in text
+    assert json.loads(msgspec.json.encode(comparison))["budgets"][0]["verdict"] == "leads"
 
 
-def test_json_holds_the_answer(comparison):
-    loaded = json.loads(msgspec.json.encode(comparison))
-    assert loaded["budgets"][0]["verdict"] == "leads"
-    assert len(loaded["scenes"]) == len(SCENES)
+@pytest.mark.parametrize(
+    ("second", "metric", "message"),
+    [
+        ("ours", "psnr", "have ours; name two different rows"),
+        ("thiers", "psnr", "have ours; name two different rows"),
+        ("theirs", "flip", "'flip' was requested.*metrics that do: psnr"),
+    ],
+)
+def test_a_row_or_a_metric_that_is_missing_is_refused(second, metric, message):
+    with pytest.raises(ReportError, match=message):
+        compare(to_dataframe(shifted(OFFSETS)), "ours", second, metric=metric)
 
 
-@pytest.mark.parametrize("second", ["ours", "thiers"])
-def test_a_row_that_is_missing_or_the_same_is_refused(second):
-    with pytest.raises(ReportError, match="the results have ours; name two different rows"):
-        compare(to_dataframe(shifted(OFFSETS)), "ours", second)
+def runs_of(seed, runs=5, scenes=4):
+    return np.random.default_rng(seed).integers(0, 8, (runs, scenes)).astype(float)  # with ties
 
 
-def test_a_metric_without_values_is_refused_with_those_that_there_are(results):
-    with pytest.raises(ReportError, match="'flip' was requested.*metrics that do: psnr, relmse"):
-        compare(results, "ours", "mean", metric="flip")
+@pytest.mark.parametrize("seed", range(5))
+def test_robust_aggregates_are_those_of_slow_twins(seed):
+    """The middle half of all scores, the mean of Mann-Whitney statistics, a count."""
+    first, second = runs_of(seed), runs_of(seed + 100, runs=3)
+    flat, thresholds = sorted(first.ravel().tolist()), [-1.0, 2.0, 2.5, 7.0]
+    assert interquartile_mean(first) == pytest.approx(sum(flat[5:15]) / 10)
+    chances = [
+        stats.mannwhitneyu(a, b).statistic / (len(a) * len(b))
+        for a, b in zip(first.T, second.T, strict=True)
+    ]
+    assert probability_of_improvement(first, second) == pytest.approx(np.mean(chances))
+    expected = [sum(value > each for value in flat) / len(flat) for each in thresholds]
+    assert performance_profile(first, thresholds) == pytest.approx(expected)

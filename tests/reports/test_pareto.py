@@ -1,34 +1,38 @@
-"""The Pareto plot: the drawn points are the measured ones, and every file is written."""
+"""Pareto plot, paper's figures and frame times: what is drawn is what was measured."""
 
 from __future__ import annotations
 
-import subprocess
-import sys
 from dataclasses import replace
+from itertools import combinations
 
+import numpy as np
 import pandas as pd
 import pytest
+from matplotlib.colors import same_color
 from matplotlib.image import imread
 
-from reports import pareto
-from reports.analysis.aggregate import Scores
-from reports.analysis.comparability import ReportError
+from reports import frame_time, pareto, published_pareto
+from reports.analysis.rows import ReportError
+from reports.analysis.scores import FRAME_PARTS, Scores
+from reports.frame_time import PARTS, draw_frame_bars
 from reports.layout import style
-from reports.layout.pareto_panels import MAX_PANELS, OVERALL, WINDOW_DB, Labels, draw_pareto
+from reports.pareto import MAX_PANELS, OVERALL, PALE, WINDOW_DB, Labels, draw_pareto
+from reports.published import published
 from rlbench.benchmark.results import to_dataframe
-from tests.reports.conftest import METHODS, SAMPLE_MS, SCENES, rows
+from tests.reports.conftest import METHODS, OFFSET, SAMPLE_MS, SCENES, as_published, renamed, rows
 
 LABELS = Labels("PSNR", "higher", "profile paper-2080ti")
+MEAN_MS = sum(SAMPLE_MS.values()) / 4
+TWO_DEVICES = "two devices: inference of a CPU, samples of a GPU"
+
+
+def points_of(table):
+    return pareto.plotted_points(Scores(to_dataframe(table)))
 
 
 @pytest.fixture(scope="module")
 def figure(results):
     return draw_pareto(pareto.plotted_points(Scores(results)), LABELS)
-
-
-@pytest.fixture(scope="module")
-def files(results, tmp_path_factory):
-    return pareto.write(results, tmp_path_factory.mktemp("pareto"))
 
 
 def drawn(figure, panel, method):
@@ -39,19 +43,6 @@ def drawn(figure, panel, method):
     return line.get_xdata(), line.get_ydata()
 
 
-def test_three_images_and_a_csv_are_written(files):
-    assert [file.name for file in files] == [
-        "pareto.png", "pareto.pdf", "pareto.svg", "pareto.csv",
-    ]  # fmt: skip
-    assert all(file.stat().st_size > 1000 for file in files)
-
-
-def test_the_png_is_not_blank(files):
-    image = imread(files[0])
-    assert image.shape[1] == 1950  # 13 inches at 150 dpi
-    assert 0.02 < (image[..., :3].min(2) < 0.9).mean() < 0.5
-
-
 @pytest.mark.parametrize("method", ["ours", "ntas", "oidn"])
 def test_the_curve_of_a_scene_has_the_measured_points(figure, method):
     times, values = drawn(figure, "hall", method)
@@ -59,89 +50,35 @@ def test_the_curve_of_a_scene_has_the_measured_points(figure, method):
     budgets = [0.5, 1.0, 2.0, 4.0, 8.0]
     assert list(times) == pytest.approx([plan + denoise + 0.99 * s * 34.5 for s in budgets])
     assert list(values) == pytest.approx([start + slope * (i - 1) - 4.0 for i in range(5)])
-
-
-def test_the_overall_curve_is_the_mean_over_scenes(figure):
     times, values = drawn(figure, OVERALL, "ours")
-    assert values[1] == pytest.approx(29.9 + sum(SCENES.values()) / 4)
-    assert times[1] == pytest.approx(16.5 + 0.99 * sum(SAMPLE_MS.values()) / 4)
+    assert (times[1], values[1]) == pytest.approx((16.5 + 0.99 * MEAN_MS, 29.9 + OFFSET))
 
 
-def test_the_csv_has_the_plotted_points(results, files):
-    points = pd.read_csv(files[-1])
-    pd.testing.assert_frame_equal(points, pareto.plotted_points(Scores(results)))
-
-
-def test_there_is_a_panel_for_each_scene(figure):
+def test_there_is_a_panel_for_each_scene_of_few(figure):
     assert [a.get_title(loc="left") for a in figure.axes] == [OVERALL, *sorted(SCENES)]
-
-
-def test_a_method_without_a_time_on_every_scene_has_no_mean_and_is_named(tmp_path):
-    table = to_dataframe(
-        [
-            r
-            for r in rows(["ours", "oidn"])
-            if (r.method, r.scene, r.metric) != ("oidn", "hall", "sample_ms")
-        ]
-    )
-    points = pareto.plotted_points(Scores(table))
-    assert set(points[points["scene"] == OVERALL]["method"]) == {"ours"}
-    assert set(points[points["scene"] == "city"]["method"]) == {"ours", "oidn"}
-    files = pareto.write(table, tmp_path)
-    assert (
-        "Without a time on every scene: oidn"
-        in pareto.figure_labels(Scores(table, device="x")).caption
-    )
-    assert all(file.exists() for file in files)
-
-
-def test_a_method_that_lacks_a_frame_is_named():
-    table = to_dataframe(
-        [r for r in rows() if (r.method, r.clip, r.frame) != ("ours", "city-0", 2)]
-    )
-    caption = pareto.figure_labels(Scores(table, device="x")).caption
-    assert "Not on every scene and frame: ours." in caption
-
-
-def test_many_scenes_have_one_panel_with_their_mean():
-    every = pareto.plotted_points(Scores(to_dataframe(rows())))
-    parts = [every.assign(scene=f"generated-{number}") for number in range(MAX_PANELS + 1)]
-    axes = draw_pareto(pd.concat([every[every["scene"] == OVERALL], *parts]), LABELS).axes
+    every = points_of(rows())
+    city = every[every["scene"] == "city"].assign(front=True)
+    assert [a.get_title(loc="left") for a in draw_pareto(city, LABELS).axes] == ["city"]
+    many = [every.assign(scene=f"generated-{number}") for number in range(MAX_PANELS + 1)]
+    axes = draw_pareto(pd.concat([every[every["scene"] == OVERALL], *many]), LABELS).axes
     assert [a.get_title(loc="left") for a in axes] == [OVERALL]
 
 
-def test_times_of_hidden_points_do_not_stretch_the_axis(results):
-    every = pareto.plotted_points(Scores(results))
-    far = every.iloc[[0]].assign(method="mean", value=every["value"].max() - 50, frame_ms=1e6)
-    for axes in draw_pareto(
-        pd.concat([every, far.assign(scene=OVERALL, front=False)]), LABELS
-    ).axes[:1]:
-        assert axes.get_xlim()[1] < 1e4
-
-
-def test_one_scene_is_one_panel():
-    one = to_dataframe([r for r in rows() if r.scene == "city"])
-    assert [
-        a.get_title(loc="left")
-        for a in draw_pareto(pareto.plotted_points(Scores(one)), LABELS).axes
-    ] == ["city"]
-
-
-def test_times_that_span_more_than_three_are_logarithmic(figure):
+def test_times_are_logarithmic_where_they_span_more_than_three(figure):
     assert {a.get_xscale() for a in figure.axes} == {"log"}
+    near = points_of([r for r in rows(["ours", "ntas"]) if r.target_spp in (1, 2)])
+    assert {a.get_xscale() for a in draw_pareto(near, LABELS).axes} == {"linear"}
 
 
-def test_times_that_span_less_than_three_are_linear():
-    near = to_dataframe([r for r in rows(["ours", "ntas"]) if r.target_spp in (1, 2)])
-    assert {
-        a.get_xscale() for a in draw_pareto(pareto.plotted_points(Scores(near)), LABELS).axes
-    } == {"linear"}
-
-
-def test_methods_below_the_window_are_named(results):
+def test_methods_below_the_window_are_named_and_do_not_stretch_the_axis(results):
     short = results[results["method"] != "ours/latent-small"]  # long names leave a narrow panel
-    axes = draw_pareto(pareto.plotted_points(Scores(short)), LABELS).axes[0]
-    top = 29.9 + 3 * 1.15 + sum(SCENES.values()) / 4
+    every = pareto.plotted_points(Scores(short))
+    far = every.iloc[[0]].assign(method="mean", value=every["value"].max() - 50, frame_ms=1e6)
+    far = far.assign(scene=OVERALL, front=False)
+    axes = draw_pareto(pd.concat([every, far]), LABELS).axes[0]
+    assert axes.get_xlim()[1] < 1e4
+    axes = draw_pareto(every, LABELS).axes[0]
+    top = 29.9 + 3 * 1.15 + OFFSET
     assert axes.get_ylim()[0] == pytest.approx(top - WINDOW_DB * 1.07)
     assert "below the axis: mean from 13.0" in [text.get_text() for text in axes.texts]
 
@@ -151,102 +88,209 @@ def test_names_stand_beside_the_first_panel_in_the_order_of_the_last_values(figu
     names.sort(key=lambda text: -text.get_position()[1])
     expected = ["ours", "ours/latent-small", "ntas", "oidn", "mean"]
     assert [text.get_text().partition(" ")[0] for text in names] == expected
-    assert [t.get_text() for t in figure.axes[1].texts] == ["1 below the axis"]
 
 
 def test_a_line_skips_a_point_whose_time_runs_backwards():
-    points = pareto.plotted_points(Scores(to_dataframe(rows(["ours"]))))
+    points = points_of(rows(["ours"]))
     points.loc[points["target_spp"] == 2, "frame_ms"] = 1.0
     line = next(a for a in draw_pareto(points, LABELS).axes[0].lines if a.get_linestyle() == "-")
     assert len(line.get_xdata()) == 4
-    assert (pd.Series(line.get_xdata()).diff().dropna() > 0).all()
+    assert (np.diff(line.get_xdata()) > 0).all()
 
 
-def test_no_two_titles_of_a_panel_touch(figure):
-    figure.draw_without_rendering()
-    for axes in figure.axes:
-        assert not axes._left_title.get_window_extent().overlaps(
-            axes._right_title.get_window_extent()
-        )
-
-
-def test_the_front_has_the_best_method_for_each_time(results):
-    points = pareto.plotted_points(Scores(results))
+@pytest.mark.parametrize(("metric", "sign"), [("psnr", 1), ("relmse", -1)])
+def test_the_front_has_the_best_method_for_each_time(results, metric, sign):
+    points = pareto.plotted_points(Scores(results, metric))
     front = points[points["front"] & (points["scene"] == OVERALL)].sort_values("frame_ms")
     assert front["method"].tolist()[:2] == ["mean", "ours/latent-small"]
-    assert (front["value"].diff().dropna() > 0).all()
     assert front["method"].iloc[-1] == "ours"
+    assert (sign * front["value"].diff().dropna() > 0).all()
 
 
-def test_the_caption_names_device_and_cost_profile(results, tmp_path, monkeypatch):
-    monkeypatch.setitem(style.RC, "svg.fonttype", "none")  # letters, not their outlines
-    svg = pareto.write(results, tmp_path)[2].read_text()
-    for text in ("profile paper-2080ti", "NVIDIA RTX 2080 Ti", "higher is better"):
-        assert text in svg
+@pytest.mark.parametrize(("direction", "expected"), [("higher", [0, 2, 3]), ("lower", [0, 1])])
+def test_the_front_has_the_points_that_no_other_dominates(direction, expected):
+    times, values = pd.Series([1.0, 2.0, 3.0, 4.0, 4.0]), pd.Series([5.0, 4.0, 6.0, 9.0, 7.0])
+    assert pareto.pareto_front(times, values, direction) == expected
 
 
-def test_methods_without_a_common_scene_have_no_panel_of_their_mean(tmp_path):
-    table = to_dataframe([r for r in rows(["ours"]) if r.scene == "city"])
-    other = to_dataframe([r for r in rows(["ntas"]) if r.scene == "hall"])
-    pareto.write(pd.concat([table, other]), tmp_path)
-    assert set(pd.read_csv(tmp_path / "pareto.csv")["scene"]) == {"city", "hall"}
-    assert (tmp_path / "pareto.png").is_file()
+@pytest.mark.parametrize(("direction", "edge"), [("higher", 0), ("lower", 1)])
+def test_the_area_that_a_single_point_dominates_is_shaded(direction, edge):
+    point = points_of([r for r in rows(["ours"]) if r.scene == "city" and r.target_spp == 1])
+    axes = draw_pareto(point, replace(LABELS, direction=direction)).axes[0]
+    heights = axes.collections[0].get_paths()[0].vertices[:, 1]
+    assert {round(h, 6) for h in heights} == {29.9, round(axes.get_ylim()[edge], 6)}
 
 
-def test_many_scenes_without_a_common_method_are_refused(tmp_path):
+def test_the_caption_names_device_cost_and_what_is_left_out():
+    lacks = ("oidn", "hall", "sampling_ms")
+    table = [
+        r
+        for r in rows(["ours", "oidn", "mean"])
+        if (r.method, r.scene, r.metric) != lacks
+        and (r.method, r.clip, r.frame) != ("mean", "city-0", 2)
+    ]
+    caption = pareto.figure_labels(Scores(to_dataframe(table), device="x")).caption
+    assert "Without a time on every scene: oidn" in caption
+    assert "Not on every scene and frame: mean." in caption
+    assert "denoise on x" in caption
+    assert "profile paper-2080ti" in caption
+
+
+def test_results_that_have_no_panel_are_refused(tmp_path):
     parts = [
         replace(row, method=f"mine-{index}", scene=f"{row.scene}{index}", clip=f"c{index}")
         for index in range(3)
         for row in rows(["ours"])
     ]
-    with pytest.raises(ReportError, match="12 scenes.*fewer scenes"):
+    with pytest.raises(ReportError, match="fewer scenes"):
         pareto.write(to_dataframe(parts), tmp_path)
+    with pytest.raises(ReportError, match="no method has all of psnr, plan_ms"):
+        points_of([r for r in rows(["ours"]) if r.unit != "ms"])
 
 
-def test_each_device_has_a_plot_of_its_own(tmp_path):
-    mixed = to_dataframe(rows(["ours"]) + rows(["ntas"], device="H100"))
-    files = {file.name for file in pareto.write(mixed, tmp_path) if file.suffix == ".csv"}
-    assert files == {"pareto-h100.csv", "pareto-nvidia-rtx-2080-ti.csv"}
-    assert set(pd.read_csv(tmp_path / "pareto-h100.csv")["method"]) == {"ntas"}
+def busy():
+    """Results in which the times of ours in the hall failed their test."""
+    return to_dataframe(
+        [
+            replace(r, note="unreliable: busy")
+            if (r.method, r.scene, r.metric) == ("ours", "hall", "plan_ms")
+            else r
+            for r in rows(("ours", "ours/latent-small", "oidn"))
+        ]
+    )
 
 
-def test_results_without_times_are_refused_with_the_missing_metrics(tmp_path):
-    timeless = to_dataframe([r for r in rows(["ours"]) if r.unit != "ms"])
-    with pytest.raises(
-        ReportError, match="no method has all of psnr, plan_ms, denoise_ms and sample_ms"
-    ):
-        pareto.write(timeless, tmp_path)
-
-
-def test_equal_results_give_equal_files(results, files, tmp_path):
-    again = pareto.write(results, tmp_path)
-    assert [f.read_bytes() for f in files] == [f.read_bytes() for f in again]
-
-
-@pytest.mark.parametrize(("direction", "edge"), [("higher", 0), ("lower", 1)])
-def test_the_area_that_a_single_point_dominates_is_shaded(direction, edge):
-    point = to_dataframe([r for r in rows(["ours"]) if r.scene == "city" and r.target_spp == 1])
-    axes = draw_pareto(
-        pareto.plotted_points(Scores(point)), replace(LABELS, direction=direction)
-    ).axes[0]
-    heights = axes.collections[0].get_paths()[0].vertices[:, 1]
-    assert {round(h, 6) for h in heights} == {29.9, round(axes.get_ylim()[edge], 6)}
-
-
-def test_a_low_error_is_better(results):
-    points = pareto.plotted_points(Scores(results, "relmse"))
-    front = points[points["front"] & (points["scene"] == "city")].sort_values("frame_ms")
-    assert (front["value"].diff().dropna() < 0).all()
-
-
-def test_reports_do_not_import_torch():
-    code = "import sys, reports.pareto, reports.summary; sys.exit('torch' in sys.modules)"
-    assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0
+def test_an_unreliable_point_is_pale_and_never_on_the_front():
+    scores = Scores(busy())
+    points = pareto.plotted_points(scores)
+    doubted = points[points["unreliable"]]
+    assert set(zip(doubted["method"], doubted["scene"], strict=True)) == {
+        ("ours", "hall"),
+        ("ours", OVERALL),
+    }
+    assert not doubted["front"].any()
+    assert points.loc[points["scene"] == "hall", "front"].any()
+    figure = draw_pareto(points, pareto.figure_labels(scores))
+    for axes in figure.axes:
+        pale = [c for c in axes.collections if c.get_alpha() == PALE]
+        count = sum(len(c.get_offsets()) for c in pale)
+        assert count == (5 if axes.get_title(loc="left") in ("hall", OVERALL) else 0)
 
 
 @pytest.mark.parametrize(
-    ("direction", "expected"), [("higher", [0, 2, 3]), ("lower", [0, 1])], ids=["higher", "lower"]
+    ("methods", "end"), [(("ours", "oidn"), ""), (("ours",), " (ours)"), ((), None)]
 )
-def test_the_front_has_the_points_that_no_other_dominates(direction, expected):
-    times, values = pd.Series([1.0, 2.0, 3.0, 4.0, 4.0]), pd.Series([5.0, 4.0, 6.0, 9.0, 7.0])
-    assert pareto.pareto_front(times, values, direction) == expected
+def test_the_title_says_which_frame_times_are_of_two_devices(methods, end):
+    frames = [
+        replace(row, metric="frame_ms", note=TWO_DEVICES if row.method in methods else "")
+        for row in rows(["ours", "oidn"])
+        if row.metric == "plan_ms"
+    ]
+    labels = pareto.figure_labels(Scores(to_dataframe(rows(["ours", "oidn"]) + frames)))
+    title = TWO_DEVICES.capitalize()
+    assert labels.heading.lower() == ("" if end is None else title.lower() + end).lower()
+
+
+@pytest.fixture(scope="module")
+def paper(published_results):
+    """How to draw the paper's figures, by axis."""
+    figures = published_pareto._figures(Scores(published_results, device="a GPU"))
+    return {name.strip("-"): draw() for name, (draw, _) in figures.items() if draw}
+
+
+def markers(axes, method, face):
+    """Coordinates of the markers of a method, filled or hollow, in the drawn figure."""
+    line_style = style.line_styles([p.row for p in published().table])[method]
+    face_color = "white" if face == "hollow" else line_style.color
+    return next(
+        line.get_xydata()
+        for line in axes.lines
+        if line.get_marker() == line_style.marker
+        and same_color(line.get_color(), line_style.color)
+        and same_color(line.get_markerfacecolor(), face_color)
+        and line.get_transform() == axes.transData
+    )
+
+
+@pytest.mark.parametrize("method", ["ours/latent", "oidn"])
+def test_the_left_panel_has_the_measured_points_filled(paper, method):
+    start, slope, plan, denoise = METHODS["ours" if method == "ours/latent" else method]
+    budgets = np.array([0.5, 1, 2, 4, 8])
+    measured = markers(paper["time"].axes[0], method, "filled")
+    assert measured[:, 0] == pytest.approx(plan + denoise + 0.99 * budgets * MEAN_MS)
+    assert measured[:, 1] == pytest.approx(start + slope * np.log2(budgets) + OFFSET)
+
+
+@pytest.mark.parametrize(
+    ("axis", "method", "expected"),
+    [
+        ("spp", "ntas", [(4, 27.7)]),
+        ("spp", "ours/latent", [(2, 28.2), (4, 28.7)]),
+        ("time", "ntas", [(17.4 + 4 * 26.3, 27.7)]),
+        ("time", "mean", [(4 * 26.3, 17.0)]),
+    ],
+)
+def test_the_right_panel_has_the_published_points_hollow(paper, axis, method, expected):
+    assert markers(paper[axis].axes[1], method, "hollow") == pytest.approx(np.array(expected))
+
+
+@pytest.mark.parametrize("panel", [0, 1])
+@pytest.mark.parametrize("axis", ["spp", "time"])
+def test_no_labels_overlap_or_cross_the_edge_and_both_panels_have_one_scale(paper, axis, panel):
+    figure = paper[axis]
+    figure.draw_without_rendering()
+    texts = [t for t in figure.axes[panel].texts if t.get_text()]
+    boxes = [t.get_window_extent() for t in texts if not t.get_text().startswith("below the axis:")]
+    assert len(boxes) == (len(METHODS) if panel == 0 else len(published().table))
+    assert not any(a.overlaps(b) for a, b in combinations(boxes, 2))
+    edge = figure.axes[1].get_window_extent().x0 if panel == 0 else figure.bbox.x1
+    assert all(box.x1 < edge for box in boxes)
+    heights = [low - high for low, high in (axes.get_ylim() for axes in figure.axes)]
+    assert heights[0] == pytest.approx(heights[1])
+
+
+def test_the_papers_captions_name_device_cost_and_what_is_not_drawn(paper):
+    caption = " ".join(paper["time"].texts[-1].get_text().split())
+    assert all(text in caption for text in ("a GPU", "profile paper-2080ti", "26.3 ms"))
+    table = as_published(rows(["ours"])) + renamed(rows(["ours"]), ours="eaw")
+    timeless = Scores(to_dataframe([r for r in table if r.unit != "ms"]))
+    draw, _ = published_pareto._figures(timeless)["-time"]
+    figure = draw()
+    caption = " ".join(figure.texts[-1].get_text().split())
+    assert "not in the paper or not on every scene: eaw." in caption
+    assert "Without a time: ours/latent." in caption
+    assert [t.get_text() for t in figure.axes[0].texts] == ["no times were measured"]
+
+
+def widths(axes, method):
+    """Widths of the parts of one method's bar, from left to right."""
+    place = [text.get_text() for text in axes.get_yticklabels()].index(method)
+    bars = [b for b in axes.patches if round(b.get_y() + b.get_height() / 2) == place]
+    return [bar.get_width() for bar in bars]
+
+
+def test_frame_time_has_bars_of_the_parts_that_add_up(tmp_path):
+    table = [
+        replace(r, value=3.0 if r.metric == "gbuffer_ms" else 2.0 * (r.method == "ours"))
+        if r.metric in ("gbuffer_ms", "allocate_ms")
+        else r
+        for r in rows()
+    ]
+    times = frame_time.frame_times(Scores(to_dataframe(table)))
+    assert times[FRAME_PARTS].sum(axis=1).tolist() == pytest.approx(times["frame_ms"].tolist())
+    (axes,) = draw_frame_bars(times[times["target_spp"] == 2.0], "caption").axes
+    assert widths(axes, "ours") == pytest.approx([3.0, 5.5, 2.0, 1.98 * MEAN_MS, 11.0])
+    assert widths(axes, "oidn") == pytest.approx([3.0, 0.0, 0.0, 1.98 * MEAN_MS, 9.0])
+    assert list(PARTS) == FRAME_PARTS
+    files = frame_time.write(to_dataframe(table), tmp_path)
+    assert pd.read_csv(files[-1])["target_spp"].nunique() == 5 > frame_time.MAX_PANELS
+    assert 0.02 < (imread(files[0])[..., :3].min(2) < 0.9).mean() < 0.7
+
+
+def test_frame_time_marks_unreliable_times_and_methods_that_lack_a_budget():
+    times = frame_time.frame_times(Scores(busy()))
+    times = times[times["target_spp"].isin([1.0, 2.0])]
+    lacking = times[(times["method"] != "oidn") | (times["target_spp"] > 1)]
+    texts = [text.get_text() for text in draw_frame_bars(lacking, "caption").axes[0].texts]
+    assert sum(text.endswith("?") for text in texts) == 1
+    assert texts.count("not measured") == 1

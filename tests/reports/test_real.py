@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import itertools
 
-import pandas as pd
 import pytest
 
 from reports import real
@@ -35,7 +34,7 @@ def table(values, preset="real", budgets=(1.0,), by_scene=STEADY, metrics=("psnr
 
 
 def write(tmp_path, results, **options):
-    return real.write(results, tmp_path, draws=100, **options)[0].read_text()
+    return real.write(results, tmp_path, **options)[0].read_text()
 
 
 def rows_of(page, title):
@@ -81,13 +80,6 @@ def test_rows_and_budgets_of_one_preset_alone_are_not_compared(tmp_path):
     assert dict(rows_of(page, "Agreement of the order"))["psnr, unseen"] == "1.00 (3)"
 
 
-def test_the_csv_has_every_number(tmp_path):
-    write(tmp_path, table(THEIRS), against={"unseen": table({**OURS, "a": 32.0}, "unseen")})
-    numbers = pd.read_csv(tmp_path / "real.csv")
-    titles = {"PSNR", real.FIRST, "Blotches on smooth surfaces"}
-    assert set(numbers["table"]) == titles | {"tau", "swap"}
-
-
 def test_pictures_in_the_folder_are_shown(tmp_path):
     (tmp_path / "real-kitchen.png").touch()
     (tmp_path / "pareto.png").touch()
@@ -95,14 +87,9 @@ def test_pictures_in_the_folder_are_shown(tmp_path):
     assert page.endswith("## Images\n\n![real-kitchen](real-kitchen.png)\n")
 
 
-def test_results_of_another_preset_need_one_to_compare_with(tmp_path):
-    with pytest.raises(
-        MissingRowsError, match="preset mini; measure scenes by others with rlbench"
-    ):
+def test_results_of_another_preset_need_one_to_compare_with_and_psnr(tmp_path):
+    with pytest.raises(MissingRowsError, match="preset mini"):
         write(tmp_path, table(OURS, "mini"))
     assert "Agreement" in write(tmp_path, table(OURS, "mini"), against={"b": table(THEIRS, "b")})
-
-
-def test_results_without_psnr_are_refused(tmp_path):
-    with pytest.raises(MissingRowsError, match="no psnr; rlbench run scores it"):
+    with pytest.raises(MissingRowsError, match="no psnr"):
         write(tmp_path, table(THEIRS, metrics=["blotches"]))

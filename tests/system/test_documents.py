@@ -53,16 +53,9 @@ def test_a_missing_key_is_an_error_that_names_it():
         decode({"frames": 3}, Clip)
 
 
-def test_keys_of_older_documents_are_renamed():
-    assert decode({"title": "city"}, Clip, renamed={"title": "name"}) == Clip("city")
-    with pytest.raises(ValueError, match="name"):
-        decode({"title": "city"}, Clip)
-
-
 def test_unknown_keys_are_listed_and_ignored_in_decoding():
     document = {"title": "city", "colour": 1, "age": 2}
     assert unknown_keys(document, Clip) == ["age", "colour", "title"]
-    assert unknown_keys(document, Clip, renamed={"title": "name"}) == ["age", "colour"]
     assert decode({"name": "city", "colour": 1}, Clip) == Clip("city")
 
 

@@ -1,45 +1,17 @@
-"""Checkpoints: everything is restored, and files with the old names of fields are read."""
+"""Checkpoints: everything is restored, and files that were changed are refused."""
 
 from __future__ import annotations
 
-import json
-from pathlib import Path
-
 import pytest
 import torch
-from safetensors import safe_open
-from safetensors.torch import load_file, save_file
-from torch import Tensor
+from safetensors.torch import save_file
 
 from rlbench import registry
 from rlbench.clips.procedural.clip import procedural_clip
 from rlbench.frames import Size
-from rlbench.training import Progress, TrainingConfig, TrainingTask, checkpoint, train
-from rlbench.training.batches import Batches
+from rlbench.training import Progress, TrainingConfig, TrainingTask, checkpoint
 from rlbench.training.checkpoint import CheckpointError
 from rlbench.training.train_state import TrainState
-from rlbench.weights import digest
-from tests.conftest import write_noise
-from tests.learning_plugin import write_learner
-
-# written by commit a26c6ed after 12 of 24 frames of `blur` with a critic, with the old names
-OLD_CHECKPOINT = Path(__file__).parent / "data" / "old_names.safetensors"
-CONFIG = TrainingConfig(24, crop=16, sequence_length=3, eval_interval=6)
-CRITIC = "torch.nn.Conv2d(3, 1, 1)"
-CRITIC_LOSS = "loss + (auxiliary(result.image) - loss.detach()).square().mean()"
-OLD_NAMES = {  # of stored keys, by their present names
-    "frames_seen": "seen",
-    "sequences": "draws",
-    "frames_per_second": "speed",
-    "validation_history": "curve",
-    "config": "plan",
-    "config_changes": "changes",
-    "sequence_length": "length",
-    "ema_decay": "average",
-    "max_grad_norm": "norm",
-    "bf16": "half",
-    "eval_interval": "every",
-}
 
 
 def linear_state() -> TrainState:
@@ -77,86 +49,6 @@ def test_a_file_that_no_training_run_wrote_is_refused(tmp_path, content):
         file.write_bytes(content)
     with pytest.raises(CheckpointError, match="is not a file written by a training run"):
         checkpoint.read(file)
-
-
-def rename(value: object) -> object:
-    """Nested metadata with the old names of its keys."""
-    if isinstance(value, dict):
-        return {OLD_NAMES.get(key, key): rename(item) for key, item in value.items()}
-    return value
-
-
-def rename_tensors(tensors: dict[str, Tensor]) -> dict[str, Tensor]:
-    """Tensors with the old prefixes of their names."""
-    prefixes = {"ema": "average", "auxiliary_network": "aside"}
-    split = {name: name.partition(".") for name in tensors}
-    return {
-        f"{prefixes.get(split[name][0], split[name][0])}.{split[name][2]}": tensor
-        for name, tensor in tensors.items()
-    }
-
-
-@pytest.fixture
-def clip(tmp_path: Path) -> Path:
-    registry.use_plugin(write_learner(tmp_path, CRITIC_LOSS, CRITIC))
-    return write_noise(tmp_path / "clips" / "noise", h=24, w=24)
-
-
-def stop_after(sequences: int):
-    """A callback that stops a run like a kill."""
-
-    def on_progress(progress: Progress, loss: float) -> None:
-        if progress.sequences == sequences:
-            raise KeyboardInterrupt
-
-    return on_progress
-
-
-def test_a_checkpoint_with_old_names_is_resumed_bit_by_bit(clip, tmp_path):
-    killed, undisturbed = tmp_path / "killed", tmp_path / "undisturbed"
-    with pytest.raises(KeyboardInterrupt):
-        train("blur", [clip], [clip], killed, CONFIG, on_progress=stop_after(5))
-    file = killed / "checkpoint.safetensors"
-    metadata, tensors = checkpoint.read(file)
-    checkpoint.write(file, rename_tensors(tensors), rename(metadata))
-    assert set(checkpoint.read_metadata(file)) & set(OLD_NAMES) == set()
-    train("blur", [clip], [clip], killed, CONFIG)
-    train("blur", [clip], [clip], undisturbed, CONFIG)
-    assert digest(killed / "blur.safetensors") == digest(undisturbed / "blur.safetensors")
-    torch.testing.assert_close(
-        load_file(file), load_file(undisturbed / "checkpoint.safetensors"), rtol=0, atol=0
-    )
-
-
-def test_a_checkpoint_of_the_old_code_is_resumed_as_one_with_the_present_names(clip, tmp_path):
-    with safe_open(OLD_CHECKPOINT, "pt") as file:
-        stored = json.loads(file.metadata()["progress"])
-    assert {"seen", "draws", "curve", "plan"} < set(stored)
-    # clips may be hashed differently today; all else stays as it was written
-    stored["plan"]["data"] = Batches.from_config(
-        [clip], CONFIG, registry.load_method("mean").traits, "cpu"
-    ).clip_digests()
-    old, new = tmp_path / "old", tmp_path / "new"
-    for folder in (old, new):
-        folder.mkdir()
-    old_tensors = load_file(OLD_CHECKPOINT)
-    assert {"average.weight", "aside.weight"} < set(old_tensors)
-    save_file(old_tensors, old / "checkpoint.safetensors", {"progress": json.dumps(stored)})
-    metadata, tensors = checkpoint.read(old / "checkpoint.safetensors")
-    checkpoint.write(new / "checkpoint.safetensors", tensors, vars(Progress.from_dict(metadata)))
-    for folder in (old, new):
-        result = train("blur", [clip], [clip], folder, CONFIG)
-        assert (result.progress.frames_seen, result.progress.steps) == (24, 24)
-        assert [frames for frames, _ in result.progress.validation_history] == [6, 12, 18, 24]
-        assert set(checkpoint.read_metadata(folder / "checkpoint.safetensors")) == set(
-            vars(Progress())
-        )
-    torch.testing.assert_close(
-        load_file(old / "checkpoint.safetensors"),
-        load_file(new / "checkpoint.safetensors"),
-        rtol=0,
-        atol=0,
-    )
 
 
 def test_a_checkpoint_with_a_flipped_bit_is_refused(tmp_path):

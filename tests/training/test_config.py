@@ -12,10 +12,6 @@ from methods.ours.method import CARDS
 from rlbench.training import TrainingConfig
 from rlbench.weights import read_card
 
-# written before the fields were renamed
-OLD_JSON = """{"frames": 24, "batch": 2, "crop": 16, "length": 3, "average": 0.99, "seed": 5,
-"norm": 0.5, "half": true, "every": 6, "spp": [0.5, 4.0], "peak": 4e-05}"""
-
 
 def test_the_learning_rate_is_that_of_torchs_one_cycle():
     config = TrainingConfig(frames=200)
@@ -69,21 +65,6 @@ def test_budgets_are_in_the_json_only_if_they_are_not_the_methods_own():
     assert TrainingConfig(24, crop=16, sequence_length=3).to_dict() == stored
     with_budgets = TrainingConfig(24, crop=16, sequence_length=3, spp=(4.0,))
     assert with_budgets.to_dict() == {**stored, "spp": [4.0]}
-
-
-def test_json_with_the_old_field_names_is_read():
-    assert TrainingConfig.from_dict(json.loads(OLD_JSON)) == TrainingConfig(
-        frames=24,
-        batch=2,
-        crop=16,
-        sequence_length=3,
-        ema_decay=0.99,
-        seed=5,
-        max_grad_norm=0.5,
-        bf16=True,
-        eval_interval=6,
-        spp=(0.5, 4.0),
-    )
 
 
 def test_the_config_in_the_card_of_shipped_weights_is_read():

@@ -2,13 +2,11 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict
-
 import pytest
 
 from rlbench.cli import console
 from rlbench.training import Progress
-from rlbench.training.progress import combine_digests, describe_changes
+from rlbench.training.checkpoint import combine_digests, describe_changes
 
 
 def test_the_progress_bar_shows_loss_validation_and_speed():
@@ -53,28 +51,3 @@ def test_a_change_of_the_config_is_noted_with_its_frame():
     progress.switch_config({"bf16": False, "crop": 16})
     assert progress.note(9) == "after 9 frames: bf16 True -> False"
     assert progress.config == {"bf16": False, "crop": 16}
-
-
-def test_progress_with_the_old_field_names_is_read():
-    config = {"frames": 24, "length": 3, "average": 0.998, "norm": 1.0, "half": False, "every": 6}
-    old = {"seen": 6, "draws": 2, "steps": 6, "seconds": 1.5, "speed": 9.0, "curve": [[6, 20.5]]}
-    progress = Progress.from_dict(old | {"plan": config, "changes": ["after 3 frames: norm"]})
-    assert asdict(progress) == {
-        "frames_seen": 6,
-        "sequences": 2,
-        "steps": 6,
-        "seconds": 1.5,
-        "frames_per_second": 9.0,
-        "validation_history": [(6, 20.5)],
-        "curves": {},
-        "best": None,
-        "config": {
-            "frames": 24,
-            "sequence_length": 3,
-            "ema_decay": 0.998,
-            "max_grad_norm": 1.0,
-            "bf16": False,
-            "eval_interval": 6,
-        },
-        "config_changes": ["after 3 frames: norm"],
-    }

@@ -72,13 +72,3 @@ def test_training_shows_its_progress_in_the_given_bar(tmp_path, split):
     assert weights == tmp_path / "runs" / "blur" / "blur.safetensors"
     assert weights.exists()
     assert (bar.opened, bar.frames) == ([("blur", 6)], [3, 6])
-
-
-def test_a_range_test_shows_its_progress_and_prints_nothing(tmp_path, split, capsys):
-    bar = RecordingBar()
-    config = TrainingConfig(frames=6, crop=16, sequence_length=3)
-    runs = TrainingRuns(tmp_path / "runs", config, progress_bar=bar)
-    result = runs.find_learning_rate("blur", split)
-    assert result.table.parent == tmp_path / "runs" / "blur-range"
-    assert bar.frames == [3, 6]
-    assert capsys.readouterr() == ("", "")

@@ -6,7 +6,6 @@ interruption.
 
 from __future__ import annotations
 
-import argparse
 import time
 from collections.abc import Callable, Mapping
 from functools import partial
@@ -17,10 +16,17 @@ import torch
 from rich.progress import Progress
 from torch import nn
 
-from methods.ours.experiments.evaluation import Evaluation, ToyEnv
-from methods.ours.experiments.known_optimum import MODES, Mode, ToyProblem
-from methods.ours.experiments.learner_table import TABLE, LearnerTable, Training
-from methods.ours.experiments.toy_scenes import CHANNELS, toy_frames
+from methods.ours import LATENT
+from methods.ours.experiments.command import make_parser
+from methods.ours.experiments.toy_evaluation import (
+    TABLE,
+    Evaluation,
+    ToyEnv,
+    Training,
+    read_scores,
+    write_csv,
+)
+from methods.ours.experiments.toy_problem import CHANNELS, MODES, Mode, ToyProblem, toy_frames
 from methods.ours.networks import Sampler
 from methods.ours.policy import (
     AllocationProblem,
@@ -32,11 +38,9 @@ from methods.ours.policy import (
     appo,
     make_learner,
 )
-from methods.ours.policy.appo_config import AppoSettings
-from methods.ours.variants import LATENT
 from rlbench.ops.init import kaiming_init
 
-__all__ = ["compare", "initial_sampler", "train_by_learner"]
+__all__ = ["blocks_of_reach", "compare", "initial_sampler", "reinforce", "train_by_learner"]
 
 PROGRAM = "python -m methods.ours.experiments.compare_learners"
 MAX_LR, FINAL_SHARE = 2e-3, 0.1  # learning rate at the start, and its share at the end; linear
@@ -47,11 +51,8 @@ SEED_STRIDE = 10**9  # between the seeds of sampler, critic and actions: separat
 OnScore = Callable[[int, float, float], None]  # frames, seconds of CPU, score
 
 
-class TrueGradient:
+class TrueGradient(SamplerLearner):
     """The upper bound: the gradient of the expected error, which is unknown in practice."""
-
-    min_samples = 0
-    network = None
 
     def loss(self, problem: AllocationProblem, generator: torch.Generator) -> torch.Tensor:
         """The exact expected error of the relaxed counts."""
@@ -59,16 +60,21 @@ class TrueGradient:
         return problem.expected_error(problem.relaxed_counts(problem.act())).mean()
 
 
+def blocks_of_reach(mode: Mode) -> int:
+    """Side of a block as large as the reach of a sample, pixels."""
+    return max(1, 2 * mode.reach)
+
+
 def reinforce(mode: Mode, price_weight: float = 1.0, block: int | None = None) -> BlockReinforce:
     """REINFORCE whose margin is the reach of the mode, and whose blocks are as large."""
-    side = block or max(1, 2 * mode.reach)
+    side = block or blocks_of_reach(mode)
     policy = BlockPolicyGradient(block=side, margin=mode.reach, price_weight=price_weight)
     return BlockReinforce(policy)
 
 
 def stochastic(mode: Mode, block: int | None = None) -> StochasticLearner:
     """Differences over the next sample, with the margin and blocks of `reinforce`."""
-    return StochasticLearner(block or max(1, 2 * mode.reach), mode.reach)
+    return StochasticLearner(block or blocks_of_reach(mode), mode.reach)
 
 
 TORCH: Mapping[str, Callable[[Mode], SamplerLearner]] = {
@@ -83,9 +89,9 @@ TORCH: Mapping[str, Callable[[Mode], SamplerLearner]] = {
     "reinforce, single pixels": partial(reinforce, block=1),
     "stochastic, single pixels": partial(stochastic, block=1),
 }
-RLLIB: Mapping[str, Callable[[Mode], AppoSettings]] = {
-    "rllib-appo": lambda mode: AppoSettings(reach=mode.reach),
-    "rllib-appo, joint ratio": lambda mode: AppoSettings(joint_ratio=True),
+RLLIB: Mapping[str, Callable[[Mode], appo.AppoSettings]] = {
+    "rllib-appo": lambda mode: appo.AppoSettings(reach=mode.reach),
+    "rllib-appo, joint ratio": lambda mode: appo.AppoSettings(joint_ratio=True),
 }
 
 
@@ -151,29 +157,49 @@ def compare(
 
     Raises ValueError if the table has trainings of another length, or on frames of another size.
     """
-    table = LearnerTable.read(file, frames, side)
+    scores = read_scores(file, frames, side)
     trainings = [Training(name, mode, seed) for seed, mode, name in product(seeds, modes, names)]
-    missing = [training for training in trainings if training not in table.trainings]
+    missing = [training for training in trainings if training not in scores]
     needed = {training.mode for training in missing}
     evaluations = {mode: Evaluation.of_mode(MODES[mode], side=side) for mode in needed}
     with Progress() as progress:
         bar = progress.add_task("trainings", total=len(missing) * frames)
         for number, training in enumerate(missing):
-            start = number * frames
+            start, rows = number * frames, scores.setdefault(training, [])
             progress.update(bar, description=str(training), completed=start)
 
             def on_score(done: int, seconds: float, score: float) -> None:
-                table.add(training, done, seconds, score)  # noqa: B023
+                row = {**training._asdict(), "side": side, "of": frames, "frames": done}  # noqa: B023
+                row |= {"seconds": f"{seconds:.1f}", "score": f"{score:.4f}"}
+                rows.append({key: str(value) for key, value in row.items()})  # noqa: B023
                 progress.update(bar, completed=start + done)  # noqa: B023
 
             train = train_by_learner if training.learner in TORCH else train_by_rllib
             train(training.learner, evaluations[training.mode], training.seed, frames, on_score)
-            table.write()
+            write_csv(file, [row for training_rows in scores.values() for row in training_rows])
+
+
+DESCRIPTION = f"""Train the sampler of `ours` by every learner on a problem whose optimal allocation
+is known. Write the share of the optimal error reduction that each reaches to OUT/{TABLE}.
+Trainings that are in the table are not run again.
+Then draw the figure: python -m reports.known_optimum OUT"""
+EXAMPLES = (
+    "--out docs",
+    '--out /tmp/try --frames 500 --seeds 0 --learners "surrogate;reinforce"',
+)
+OPTIONS = {
+    "--out": (Path("docs"), "folder of the table"),
+    "--frames": (1600, "frames of each training"),
+    "--side": (32, "side of a frame, a multiple of 8 pixels"),
+    "--seeds": ("0,1,2", "seeds of weights, scenes and actions"),
+    "--learners": (";".join([*TORCH, *RLLIB]), 'separated by ";"'),
+    "--modes": (",".join(MODES), "of the problem"),
+}
 
 
 def main() -> None:
     """Run the command line."""
-    parser = _parser()
+    parser = make_parser(PROGRAM, DESCRIPTION, EXAMPLES, OPTIONS)
     arguments = parser.parse_args()
     names, modes = arguments.learners.split(";"), arguments.modes.split(",")
     options = (("--learners", names, [*TORCH, *RLLIB]), ("--modes", modes, list(MODES)))
@@ -191,40 +217,6 @@ def main() -> None:
         compare(arguments.out / TABLE, arguments.frames, arguments.side, seeds, names, modes)
     except ValueError as error:
         parser.error(str(error))
-
-
-def _parser() -> argparse.ArgumentParser:
-    parser = argparse.ArgumentParser(
-        prog=PROGRAM,
-        formatter_class=argparse.RawDescriptionHelpFormatter,
-        description="Train the sampler of `ours` by every learner on a problem whose optimal\n"
-        "allocation is known. Write the share of the optimal error reduction that each\n"
-        f"reaches to OUT/{TABLE}. Trainings that are in the table are not run again.\n"
-        "Then draw the figure: python -m reports.known_optimum OUT",
-        epilog=f"examples:\n  {PROGRAM} --out docs\n"
-        f'  {PROGRAM} --out /tmp/try --frames 500 --seeds 0 --learners "surrogate;reinforce"',
-    )
-    learners, modes = ";".join([*TORCH, *RLLIB]), ",".join(MODES)
-    parser.add_argument(
-        "--out", type=Path, default=Path("docs"), help="folder of the table (default: docs)"
-    )
-    parser.add_argument(
-        "--frames", type=int, default=1600, help="frames of each training (default: 1600)"
-    )
-    parser.add_argument(
-        "--side",
-        type=int,
-        default=32,
-        help="side of a frame, a multiple of 8 pixels (default: 32)",
-    )
-    parser.add_argument(
-        "--seeds", default="0,1,2", help="seeds of weights, scenes and actions (default: 0,1,2)"
-    )
-    parser.add_argument(
-        "--learners", default=learners, help=f'separated by ";" (default, all: "{learners}")'
-    )
-    parser.add_argument("--modes", default=modes, help=f"of the problem (default, all: {modes})")
-    return parser
 
 
 if __name__ == "__main__":

@@ -15,24 +15,22 @@ from dataclasses import replace
 
 import torch
 
-from methods.ours import TRAITS
+from methods.ours import OURS, TRAITS
 from methods.ours.method import Ours, build_config
 from methods.ours.train import config_task
-from methods.ours.variants import OURS
 from rlbench.family import Family, Variant
-from rlbench.ops.unet import FAST_WIDTHS
+from rlbench.ops.unet_widths import FAST_WIDTHS
 from rlbench.training.task import TrainingTask
 
 __all__ = ["FAMILY", "build", "training_task"]
 
-LEAN = OURS
-BY_RULE = replace(LEAN, sampler=())  # the density of the contrast rule alone
+BY_RULE = replace(OURS, sampler=())  # the density of the contrast rule alone
 UNROLLS = (1, 2, 3, 6)  # frames that gradients flow back through
 LATENTS = (0, 4, 8, 16)  # channels
 
 CONFIGS = {
-    "lean": LEAN,
-    "full-sampler": replace(LEAN, sampler_stride=1),  # its actions at full resolution
+    "lean": OURS,
+    "full-sampler": replace(OURS, sampler_stride=1),  # its actions at full resolution
     **{f"bptt-{k}": replace(BY_RULE, latent=8, bptt=k) for k in UNROLLS},
     **{f"latent-{c}": replace(BY_RULE, latent=c, bptt=3) for c in LATENTS},
     "kernel-3": replace(BY_RULE, latent=4, bptt=3, kernel_taps=9),

@@ -10,7 +10,6 @@ Scores are of orders that no step has used.
 
 from __future__ import annotations
 
-import argparse
 import csv
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
@@ -24,10 +23,11 @@ from rich.progress import track
 from torch import Tensor, nn
 from torch.nn import functional as F
 
-from methods.ours.frame_problem import FrameProblem
+from methods.ours.experiments.command import make_parser
+from methods.ours.history import RecurrentState
 from methods.ours.method import Ours, build
 from methods.ours.policy import BlockReinforce
-from methods.ours.state import RecurrentState
+from methods.ours.problem import FrameProblem
 from rlbench import registry
 from rlbench.clips.stored import open_clip
 from rlbench.frames import Frame
@@ -136,9 +136,21 @@ def _psnr(problems: Sequence[FrameProblem], action: Float[Tensor, "n 1 h w"]) ->
     return sum(scores) / len(scores)
 
 
+DESCRIPTION = """Optimise the density map of one frame of each clip on the frame's own error.
+Compare it with uniform samples and with the sampler's map, on other samples."""
+EXAMPLES = ("", "--spp 1,2 --steps 100 --out /tmp/oracle.csv")
+OPTIONS: dict[str, tuple[str | int | Path | bool, str]] = {
+    "--spp": ("1,2,4", "samples per pixel"),
+    "--frame": (5, "index of the frame, counted from 0"),
+    "--steps": (200, "optimiser steps of four actions each"),
+    "--out": (Path("ceiling.csv"), "CSV file to append to"),
+}
+
+
 def main() -> None:
     """Run the command line."""
-    parser = _parser()
+    options = {**OPTIONS, "--clips": (paths.clips_folder() / "mini", "folder of clips")}
+    parser = make_parser(PROGRAM, DESCRIPTION, EXAMPLES, options)
     arguments = parser.parse_args()
     folders = sorted(file.parent for file in arguments.clips.glob("*/clip.toml"))
     if not folders:
@@ -154,34 +166,6 @@ def main() -> None:
         except ValueError as error:
             parser.error(str(error))
         _append(arguments.out, result)
-
-
-def _parser() -> argparse.ArgumentParser:
-    parser = argparse.ArgumentParser(
-        prog=PROGRAM,
-        formatter_class=argparse.RawDescriptionHelpFormatter,
-        description="Optimise the density map of one frame of each clip on the frame's own error.\n"
-        "Compare it with uniform samples and with the sampler's map, on other samples.",
-        epilog=f"examples:\n  {PROGRAM}\n  {PROGRAM} --spp 1,2 --steps 100 --out /tmp/oracle.csv",
-    )
-    clips = paths.clips_folder() / "mini"
-    parser.add_argument(
-        "--clips", type=Path, default=clips, help=f"folder of clips (default: {clips})"
-    )
-    parser.add_argument("--spp", default="1,2,4", help="samples per pixel (default: 1,2,4)")
-    parser.add_argument(
-        "--frame", type=int, default=5, help="index of the frame, counted from 0 (default: 5)"
-    )
-    parser.add_argument(
-        "--steps", type=int, default=200, help="optimiser steps of four actions each (default: 200)"
-    )
-    parser.add_argument(
-        "--out",
-        type=Path,
-        default=Path("ceiling.csv"),
-        help="CSV file to append to (default: ceiling.csv)",
-    )
-    return parser
 
 
 def _append(file: Path, result: OracleResult) -> None:

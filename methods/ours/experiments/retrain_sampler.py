@@ -5,10 +5,10 @@ Command: python -m methods.ours.experiments.retrain_sampler --by rllib-appo --fr
 
 from __future__ import annotations
 
-import argparse
 import shlex
 import sys
 from collections.abc import Callable
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import torch
@@ -16,23 +16,21 @@ from rich.console import Console
 from rich.progress import Progress
 from torch import nn
 
-from methods.ours import FAMILY
-from methods.ours.experiments.sampler_task import SamplerTask
-from methods.ours.method import CARDS
-from methods.ours.policy import (
-    LEARNERS,
-    RLLIB_APPO,
-    BlockPolicyGradient,
-    appo,
-    make_learner,
-)
-from methods.ours.policy.appo_config import AppoSettings
+from methods.ours import FAMILY, VARIANTS, Config
+from methods.ours.experiments.command import make_parser
+from methods.ours.initialization import wire_contrast
+from methods.ours.method import CARDS, Ours, assemble
+from methods.ours.networks import Networks, Sampler
+from methods.ours.policy import LEARNERS, RLLIB_APPO, BlockPolicyGradient, appo, make_learner
+from methods.ours.problem import SamplingEnv
+from rlbench.ops.init import kaiming_init
 from rlbench.system import paths
 from rlbench.training import validation
+from rlbench.training.batches import Batches
 from rlbench.training.task import BUDGETS_FROM_0_05_SPP
-from rlbench.weights import ModelCard, read_card, save
+from rlbench.weights import ModelCard, load_for_inference, read_card, save
 
-__all__ = ["retrain", "train_by_learner"]
+__all__ = ["SamplerTask", "retrain", "train_by_learner"]
 
 PROGRAM = "python -m methods.ours.experiments.retrain_sampler"
 MAX_LR, FINAL_SHARE = 1e-3, 0.1  # learning rate at the start, and its share at the end; linear
@@ -40,6 +38,61 @@ MAX_GRAD_NORM = 1.0
 RLLIB_REACH = 4  # pixels around one whose errors RLlib's learner credits to it
 
 OnProgress = Callable[[int, nn.Module], None]  # frames so far, sampler
+
+
+@dataclass(frozen=True)
+class SamplerTask:
+    """The clips and weights of one training. It makes the same environment in any process."""
+
+    folders: tuple[Path, ...]  # clips
+    weights: Path = CARDS / "ours.safetensors"  # of encoder and denoiser
+    variant: str = ""  # whose weights these are: "" or "paper"
+    one_policy: bool = False  # RLlib's APPO as in the paper: one ratio and reward a frame
+    crop: int = 128  # pixels, side of a crop
+    length: int = 6  # frames of an episode
+    seed: int = 0
+    min_samples: int = 0  # of each pixel
+
+    @property
+    def config(self) -> Config:
+        """The settings of the variant."""
+        return VARIANTS[self.variant]
+
+    @property
+    def scored_as(self) -> str:
+        """The method that the weights belong to: A1 gives every pixel a sample."""
+        names = [self.variant, "A1" * bool(self.min_samples)]
+        key = "-".join(filter(None, names))
+        return f"ours/{key}" if key else "ours"
+
+    def make_method(self) -> Ours:
+        """The method during training: an untrained sampler, and the other networks frozen."""
+        networks = Networks(self.config)
+        load_for_inference(networks, str(self.weights), self.weights, "cpu")
+        sampler = self.make_sampler()
+        networks.sampler = sampler.to(memory_format=torch.channels_last)  # type: ignore[call-overload]
+        traits = replace(FAMILY.variants[self.variant].traits, min_samples=self.min_samples)
+        return assemble(self.config.for_training, traits, networks)
+
+    def make_sampler(self) -> Sampler:
+        """A sampler with the first weights of every training: seeded, and its actions 0."""
+        config = self.config
+        sampler = Networks(config).sampler
+        assert sampler is not None
+        kaiming_init(sampler, self.seed)
+        if config.wired_contrast:
+            wire_contrast(sampler, config)
+        sampler.start_uniform()
+        return sampler
+
+    def make_batches(self) -> Batches:
+        """Crops of the clips, one at a time."""
+        return Batches(self.folders, 1, self.crop, self.length, self.seed)
+
+    def make_env(self) -> SamplingEnv:
+        """Episodes of crops, at the budgets that `ours` is trained at."""
+        budgets = [spp for spp in BUDGETS_FROM_0_05_SPP if spp >= self.min_samples]
+        return SamplingEnv(self.make_method(), self.make_batches(), budgets)
 
 
 def train_by_learner(
@@ -78,7 +131,7 @@ def train_by_rllib(task: SamplerTask, frames: int, on_progress: OnProgress) -> n
 
     Ratios and credit are those of single pixels, or of the image if `task.one_policy`.
     """
-    settings = AppoSettings(
+    settings = appo.AppoSettings(
         joint_ratio=task.one_policy,
         learning_rate=MAX_LR,
         reach=RLLIB_REACH,
@@ -134,10 +187,42 @@ def _card(
     )
 
 
+DESCRIPTION = """Train the sampler of `ours` or `ours/paper` alone, from weights that request the
+density of the contrast rule (`ours`) or a uniform one (`ours/paper`), behind the shipped encoder
+and denoiser. Write OUT/LEARNER.safetensors, and print the PSNR on two validation clips.
+
+Score the weights: rlbench run -m ours --weights LEARNER=FILE
+(for surrogate and gamma: -m ours/A1)."""
+EXAMPLES = (
+    "--by reinforce",
+    "--by rllib-appo --frames 200 --out /tmp/x",
+    "--by rllib-appo --variant paper --one-policy",
+)
+OPTIONS: dict[str, tuple[str | int | Path | bool, str]] = {
+    "--by": ("reinforce", f"learner, one of: {', '.join([*LEARNERS, RLLIB_APPO])}"),
+    "--variant": ("", "paper: train the sampler of ours/paper, and not that of ours"),
+    "--one-policy": (
+        False,
+        "with rllib-appo: one ratio and one reward for the image, as in the paper",
+    ),
+    "--frames": (2000, "crops to train on"),
+    "--crop": (128, "pixels, side of a crop"),
+    "--seed": (0, "of crops and actions"),
+    "--out": (Path("runs/samplers"), "folder"),
+}
+
+
 def main() -> None:
     """Run the command line."""
-    parser = _parser()
+    options = {**OPTIONS, "--clips": (paths.clips_folder() / "train", "folder of clips")}
+    parser = make_parser(PROGRAM, DESCRIPTION, EXAMPLES, options)
     arguments = parser.parse_args()
+    for option, value, known in (
+        ("--by", arguments.by, [*LEARNERS, RLLIB_APPO]),
+        ("--variant", arguments.variant, ["", "paper"]),
+    ):
+        if value not in known:
+            parser.error(f"{option} {value}: choose one of: {', '.join(filter(None, known))}")
     clips = sorted(file.parent for file in arguments.clips.glob("*/clip.toml"))
     if len(clips) < 3:
         parser.error(
@@ -160,54 +245,6 @@ def main() -> None:
         arguments.by, task, arguments.frames, validate, arguments.out, command
     ).items():
         Console().print(f"{row}: {psnr:.2f} dB on the validation clips, mean of 1 and 4 spp")
-
-
-def _parser() -> argparse.ArgumentParser:
-    parser = argparse.ArgumentParser(
-        prog=PROGRAM,
-        formatter_class=argparse.RawDescriptionHelpFormatter,
-        description="Train the sampler of `ours` or `ours/paper` alone, from weights that request\n"
-        "the density of the contrast rule (`ours`) or a uniform one (`ours/paper`),\n"
-        "behind the shipped encoder and denoiser. Write OUT/LEARNER.safetensors, and print\n"
-        "the PSNR on two validation clips.\n\n"
-        "Score the weights: rlbench run -m ours --weights LEARNER=FILE\n"
-        "(for surrogate and gamma: -m ours/A1).",
-        epilog=f"examples:\n  {PROGRAM} --by reinforce\n"
-        f"  {PROGRAM} --by rllib-appo --frames 200 --out /tmp/x\n"
-        f"  {PROGRAM} --by rllib-appo --variant paper --one-policy",
-    )
-    learners = [*LEARNERS, RLLIB_APPO]
-    clips, out = paths.clips_folder() / "train", Path("runs/samplers")
-    parser.add_argument(
-        "--by",
-        default="reinforce",
-        choices=learners,
-        metavar="LEARNER",
-        help=f"one of: {', '.join(learners)} (default: reinforce)",
-    )
-    parser.add_argument(
-        "--variant",
-        default="",
-        choices=["", "paper"],
-        help="train the sampler of ours/VARIANT (default: of ours)",
-    )
-    parser.add_argument(
-        "--one-policy",
-        action="store_true",
-        help="with rllib-appo: one ratio and one reward for the image, as in the paper",
-    )
-    parser.add_argument(
-        "--frames", type=int, default=2000, help="crops to train on (default: 2000)"
-    )
-    parser.add_argument(
-        "--clips", type=Path, default=clips, help=f"folder of clips (default: {clips})"
-    )
-    parser.add_argument(
-        "--crop", type=int, default=128, help="pixels, side of a crop (default: 128)"
-    )
-    parser.add_argument("--seed", type=int, default=0, help="of crops and actions (default: 0)")
-    parser.add_argument("--out", type=Path, default=out, help=f"folder (default: {out})")
-    return parser
 
 
 if __name__ == "__main__":

@@ -4,14 +4,15 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 
-from methods.ours.policy.block_policy_gradient import BlockPolicyGradient, RolloutBatch
-from methods.ours.policy.block_reinforce import BlockReinforce
-from methods.ours.policy.combined import CombinedLearner
 from methods.ours.policy.critic import CriticLearner, make_critic_learner
-from methods.ours.policy.gamma_gradient import make_gamma_learner
-from methods.ours.policy.interface import AllocationProblem, Rollout, SamplerLearner
+from methods.ours.policy.learner import AllocationProblem, Env, Rollout, SamplerLearner, StepResult
+from methods.ours.policy.reinforce import BlockPolicyGradient, BlockReinforce, RolloutBatch
+from methods.ours.policy.sample_gradients import (
+    CombinedLearner,
+    SurrogateLearner,
+    gamma_gradient_per_sample,
+)
 from methods.ours.policy.stochastic_rounding import StochasticLearner
-from methods.ours.policy.surrogate_gradient import SurrogateLearner
 from rlbench.errors import RlbenchError
 
 __all__ = [
@@ -23,12 +24,15 @@ __all__ = [
     "BlockReinforce",
     "CombinedLearner",
     "CriticLearner",
+    "Env",
     "LearnerError",
     "Rollout",
     "RolloutBatch",
     "SamplerLearner",
+    "StepResult",
     "StochasticLearner",
     "SurrogateLearner",
+    "gamma_gradient_per_sample",
     "make_learner",
 ]
 
@@ -37,10 +41,10 @@ LEARNERS: Mapping[str, Callable[[int], SamplerLearner]] = {  # by channels of th
     "reinforce+surrogate": lambda channels: CombinedLearner(),
     "critic": make_critic_learner,
     "surrogate": lambda channels: SurrogateLearner(),
-    "gamma": lambda channels: make_gamma_learner(),
+    "gamma": lambda channels: SurrogateLearner(gamma_gradient_per_sample),
     "stochastic": lambda channels: StochasticLearner(),
 }
-APPO = "appo"  # learns from episodes, see methods.ours.one_policy
+APPO = "appo"  # learns from episodes, see `one_policy_task` in methods.ours.train
 RLLIB_APPO = "rllib-appo"  # trains by its own loop, see methods.ours.policy.appo
 
 

@@ -3,23 +3,43 @@
 from __future__ import annotations
 
 import importlib.util
+import logging
 import os
 from collections.abc import Callable
+from dataclasses import dataclass
 
 from torch import nn
 
-from methods.ours.policy.appo_config import AppoSettings
-from methods.ours.policy.environment import Env
+from methods.ours.policy.learner import Env
 from rlbench.errors import RlbenchError
 from rlbench.parallel.ray_executor import QUIET_ENVIRONMENT
 
-__all__ = ["MissingPackageError", "train"]
+__all__ = ["AppoSettings", "MissingPackageError", "train"]
 
+MODULE = "default_policy"  # of RLlib's learner
 NEEDED = ("ray", "gymnasium", "tree")  # tree: dm_tree, which RLlib needs
 
 
 class MissingPackageError(RlbenchError, RuntimeError):
     """A package of an optional extra is not installed."""
+
+
+@dataclass(frozen=True)
+class AppoSettings:
+    """Settings of one training by APPO.
+
+    Clip range, fragment length and gradient clipping as in the release of Scardigli et al. 2023.
+    """
+
+    joint_ratio: bool = False  # the literal recipe: one ratio for all pixels, one reward a frame
+    learning_rate: float = 1e-3  # at the start; it falls linearly
+    action_std: float = 0.3  # standard deviation of the action
+    reach: int = 0  # pixels around one whose errors are credited to it
+    price_weight: float = 1.0  # share of the price of samples that is charged
+    multiplicative: bool = False  # does a step of the action multiply the density, or add to it?
+    clip: float = 0.15  # of the probability ratio, around 1
+    fragment_length: int = 4  # frames of an update
+    env_runners: int = 0  # processes that act; 0: this one
 
 
 def train(
@@ -46,6 +66,33 @@ def train(
     os.environ.update(
         {name: os.environ.get(name, value) for name, value in QUIET_ENVIRONMENT.items()}
     )
-    from methods.ours.policy import rllib
+    import ray
 
-    return rllib.train(make_env, make_sampler, frames, settings, seed, report_every, on_progress)
+    from methods.ours.policy.rllib import algorithm_config
+
+    starts_ray = not ray.is_initialized()
+    if starts_ray:
+        ray.init(
+            num_cpus=1 + settings.env_runners,
+            include_dashboard=False,
+            log_to_driver=False,
+            logging_level=logging.ERROR,
+            object_store_memory=256 * 2**20,
+        )
+    algorithm = None
+    try:
+        algorithm = algorithm_config(make_env, make_sampler, frames, settings, seed).build_algo()
+        module, done, reported = algorithm.learner_group._learner.module[MODULE], 0, 0
+        while done < frames:
+            result = algorithm.train()
+            done = int(result["env_runners"]["num_env_steps_sampled_lifetime"])
+            if done // report_every > reported // report_every:
+                reported = done
+                on_progress(done, module.unwrapped().sampler)
+        trained: nn.Module = module.unwrapped().sampler
+        return trained
+    finally:
+        if algorithm is not None:
+            algorithm.stop()
+        if starts_ray:
+            ray.shutdown()

@@ -12,8 +12,8 @@ from torch import Tensor, nn
 from torch.func import functional_call
 from torch.nn import functional as F
 
-from methods.ours.policy.block_policy_gradient import BlockPolicyGradient
-from methods.ours.policy.interface import AllocationProblem
+from methods.ours.policy.learner import AllocationProblem, SamplerLearner
+from methods.ours.policy.reinforce import BlockPolicyGradient
 from rlbench.ops.init import kaiming_init
 
 __all__ = ["CriticLearner", "ErrorMap", "ReplayBuffer", "Transition", "make_critic_learner"]
@@ -95,7 +95,7 @@ class ErrorMap(nn.Module):
 
 
 @dataclass
-class CriticLearner:
+class CriticLearner(SamplerLearner):
     """Deterministic policy gradient (Silver et al. 2014) through counts before rounding.
 
     Each frame is rolled out with `policy.draws` actions around the mean. The critic learns from the
@@ -106,7 +106,6 @@ class CriticLearner:
 
     network: ErrorMap
     policy: BlockPolicyGradient = BlockPolicyGradient(block=1, margin=0, draws=2)  # noqa: RUF009  (frozen)
-    min_samples: int = 0
     replayed: int = 2  # past transitions in each step, beside the new ones
 
     def loss(self, problem: AllocationProblem, generator: torch.Generator) -> Float[Tensor, ""]:

@@ -11,11 +11,10 @@ import torch
 from jaxtyping import Float
 from torch import Tensor, nn
 
-from methods.ours.policy.importance_ratio import log_ratios
 from rlbench.ops.init import kaiming_init
 from rlbench.ops.padding import crop, pad
 
-__all__ = ["JointAppo", "JointAppoNetwork", "Trajectory", "vtrace"]
+__all__ = ["JointAppo", "JointAppoNetwork", "Trajectory", "joint_ratio", "pixel_ratios", "vtrace"]
 
 MULTIPLE = 16  # pixels; observations are padded to a multiple of this
 VALUE_SCALE = 10.0  # the highest reward
@@ -123,6 +122,41 @@ def mean_action(
     with torch.autocast(observation.device.type, enabled=False):
         action: Tensor = sampler(pad(observation.float(), MULTIPLE))
     return crop(action, h, w)
+
+
+def pixel_ratios(
+    current: Float[Tensor, "*k p"],
+    previous: Float[Tensor, "*k p"],
+    action: Float[Tensor, "*k p"],
+    action_std: Float[Tensor, "*k p"] | float,
+) -> Float[Tensor, "*k p"]:
+    """Probability of each pixel's action under the current mean over that under the previous one.
+
+    `action_std` is the standard deviation of both.
+
+    >>> mean = torch.zeros(2)
+    >>> pixel_ratios(mean, mean, torch.ones(2), 0.3)
+    tensor([1., 1.])
+    """
+    return log_ratios(current, previous, action, action_std).exp()
+
+
+def joint_ratio(
+    current: Float[Tensor, "*k p"],
+    previous: Float[Tensor, "*k p"],
+    action: Float[Tensor, "*k p"],
+    action_std: Float[Tensor, "*k p"] | float,
+) -> Float[Tensor, "*k"]:
+    """The product over all pixels: the ratio of RLlib's APPO for an action with p values."""
+    return log_ratios(current, previous, action, action_std).sum(-1).exp()
+
+
+def log_ratios(
+    current: Tensor, previous: Tensor, action: Tensor, action_std: Tensor | float
+) -> Tensor:
+    """Logarithms of `pixel_ratios`."""
+    distance = (action - current).square() - (action - previous).square()
+    return -distance / 2 / action_std**2
 
 
 def vtrace(

@@ -2,13 +2,11 @@
 
 from __future__ import annotations
 
-import logging
 from collections.abc import Callable
 from typing import Any
 
 import gymnasium
 import numpy as np
-import ray
 import torch
 from ray.rllib.algorithms.appo import APPOConfig
 from ray.rllib.algorithms.appo.torch.appo_torch_learner import APPOTorchLearner
@@ -24,18 +22,13 @@ from ray.rllib.core.rl_module.torch import TorchRLModule
 from torch import Tensor, nn
 from torch.nn import functional as F
 
-from methods.ours.policy.appo_config import AppoSettings
-from methods.ours.policy.block_policy_gradient import (
-    advantage,
-    budget_coupling,
-    remove_common_change,
-)
-from methods.ours.policy.environment import Env
-from methods.ours.policy.importance_ratio import pixel_ratios
+from methods.ours.policy.appo import AppoSettings
+from methods.ours.policy.joint_appo import pixel_ratios
+from methods.ours.policy.learner import Env
+from methods.ours.policy.reinforce import advantage, budget_coupling, remove_common_change
 
-__all__ = ["GymSamplingEnv", "PixelLearner", "SamplerModule", "train"]
+__all__ = ["GymSamplingEnv", "PixelLearner", "SamplerModule", "algorithm_config"]
 
-MODULE = "default_policy"
 RESULT_CHANNELS = 2  # behind the observation: error and count of the previous action
 FINAL_RATE = 0.1  # learning rate at the end, as a share of that at the start
 ADVANTAGE_CLIP = 3.0  # standard deviations
@@ -173,51 +166,14 @@ def _pixel_advantages(
     return regression, gain.flatten(1), common.flatten(1)
 
 
-def train(
+def algorithm_config(
     make_env: Callable[[], Env],
     make_sampler: Callable[[], nn.Module],
     frames: int,
     settings: AppoSettings,
     seed: int,
-    report_every: int,
-    on_progress: Callable[[int, nn.Module], None],
-) -> nn.Module:
-    """See methods.ours.policy.appo.train."""
-    starts_ray = not ray.is_initialized()
-    if starts_ray:
-        ray.init(
-            num_cpus=1 + settings.env_runners,
-            include_dashboard=False,
-            log_to_driver=False,
-            logging_level=logging.ERROR,
-            object_store_memory=256 * 2**20,
-        )
-    algorithm = None
-    try:
-        algorithm = _algorithm_config(make_env, make_sampler, frames, settings, seed).build_algo()
-        module, done, reported = algorithm.learner_group._learner.module[MODULE], 0, 0
-        while done < frames:
-            result = algorithm.train()
-            done = int(result["env_runners"]["num_env_steps_sampled_lifetime"])
-            if done // report_every > reported // report_every:
-                reported = done
-                on_progress(done, module.unwrapped().sampler)
-        trained: nn.Module = module.unwrapped().sampler
-        return trained
-    finally:
-        if algorithm is not None:
-            algorithm.stop()
-        if starts_ray:
-            ray.shutdown()
-
-
-def _algorithm_config(
-    make_env: Callable[[], Env],
-    make_sampler: Callable[[], nn.Module],
-    frames: int,
-    settings: AppoSettings,
-    seed: int,
-) -> Any:
+) -> APPOConfig:
+    """RLlib's configuration of one training."""
     model = {"make_sampler": make_sampler, "action_std": settings.action_std}
     rate, length = settings.learning_rate, settings.fragment_length
     return (

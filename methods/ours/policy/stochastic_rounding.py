@@ -9,7 +9,7 @@ import torch
 from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
-from methods.ours.policy.interface import AllocationProblem
+from methods.ours.policy.learner import AllocationProblem, SamplerLearner
 
 __all__ = ["StochasticLearner", "SwitchedBlocks"]
 
@@ -35,7 +35,7 @@ class SwitchedBlocks(NamedTuple):
 
 
 @dataclass
-class StochasticLearner:
+class StochasticLearner(SamplerLearner):
     """Differences of the error over the next sample, through the chance of drawing it.
 
     A planned count is mu = m + p, with m whole. The pixel draws m + 1 samples with probability p
@@ -89,8 +89,6 @@ class StochasticLearner:
     price_weight: float = 1.0  # share of the price that is subtracted; 0 is an ablation
     is_standardized: bool = True  # divide by the mean |D|, clip, and take shares of the budget?
     clip: float = 3.0  # times the mean |D| of the image, if standardised
-    min_samples: int = 0
-    network: None = None
 
     @property
     def spacing(self) -> int:

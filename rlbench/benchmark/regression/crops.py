@@ -6,7 +6,6 @@ again, which needs the clip, the method and its weights. Images of before exist 
 
 from __future__ import annotations
 
-import json
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -17,25 +16,19 @@ from jaxtyping import Float, UInt8
 from numpy import ndarray as Array
 
 from rlbench.benchmark.regression.comparison import BaselineDiff
-from rlbench.benchmark.row_name import RowName
-from rlbench.errors import RlbenchError
+from rlbench.benchmark.results import RowName
 
 if TYPE_CHECKING:
     import pandas as pd
 
     from rlbench.benchmark.clip_sources import StoredSource
-    from rlbench.benchmark.image_sheet import LinearImage
+    from rlbench.benchmark.frame_images import LinearImage
 
-__all__ = ["Crops", "CropsError", "kept_image", "select_tile", "write_crops"]
+__all__ = ["Crops", "select_tile", "write_crops"]
 
 SIDE, STEP = 64, 8  # pixels of a crop, and between two that are compared
 SCALE = 4  # pixels of the file for one of the image
 MAX_DIFFERENCE = 0.25  # of sRGB values, mean over channels, at the end of the scale
-CHANNELS = ("R", "G", "B")
-
-
-class CropsError(RlbenchError, ValueError):
-    """A frame of which there are no images."""
 
 
 class FrameKey(NamedTuple):
@@ -76,20 +69,20 @@ def write_crops(
     The frame is the one with the lowest PSNR of the cell; the crop is the square with the largest
     squared error in sRGB, or with its largest rise where `before`, a results folder, has an image
     of the frame. The difference is that to the image of before, or else to the reference. Raises
-    CropsError, and what the method raises, where there is no image.
+    ImagesError, and what the method raises, where there is no image.
     """
-    from rlbench.benchmark.image_sheet import LinearImage
+    from rlbench.benchmark.frame_images import ImagesError, LinearImage, save_png
     from rlbench.clips.stored import open_clip
 
     key = _worst_frame(diff, table, seed)
     source = next((clip for clip in clips if clip.header.name == key.clip), None)
     if source is None:
-        raise CropsError(f"clip {key.clip} is not here. Name its folder by --clips")
+        raise ImagesError(f"clip {key.clip} is not here. Name its folder by --clips")
     stored = open_clip(source.folder, frozenset(), 1).frame(key.frame).reference.mean
     reference = LinearImage(stored[0].movedim(0, -1).numpy())
-    kept = kept_image(results, key)
+    kept = _kept_image(results, key)
     now = _compute(key, source) if kept is None else kept
-    then = kept_image(before, key) if before else None
+    then = _kept_image(before, key) if before else None
     error = _squared_error(now, reference)
     tile = select_tile(error if then is None else error - _squared_error(then, reference))
     images = {"reference": reference} | ({} if then is None else {"before": then}) | {"now": now}
@@ -97,7 +90,7 @@ def write_crops(
     pixels["difference"] = _difference(now, reference if then is None else then)[tile]
     files = {name: folder / f"{name}.png" for name in pixels}
     for name, values in pixels.items():
-        _save(values, files[name])
+        save_png(values.repeat(SCALE, 0).repeat(SCALE, 1), files[name])
     rows, columns = tile
     where = f"pixels ({columns.start}, {rows.start}) to ({columns.stop}, {rows.stop})"
     origin = "computed again" if kept is None else "as stored"
@@ -105,18 +98,16 @@ def write_crops(
     return Crops(title, files)
 
 
-def kept_image(results: Path, key: FrameKey) -> LinearImage | None:
+def _kept_image(results: Path, key: FrameKey) -> LinearImage | None:
     """The stored image of a frame in a results folder, or None if it has none."""
-    from rlbench.benchmark.image_sheet import LinearImage
-    from rlbench.clips.exr import read_planes
-    from rlbench.clips.exr_header import read_exr_header
+    from rlbench.benchmark.cell_images import list_images
+    from rlbench.benchmark.frame_images import LinearImage
 
-    for record in (results / "images").glob("[!.]*/cell.json"):
-        cell = json.loads(record.read_text())["key"]
-        if all(cell[name] == getattr(key, name) for name in FrameKey._fields[:4]):
-            file = record.parent / f"{key.frame:04}.exr"
-            planes = read_planes(file, read_exr_header(file), CHANNELS)
-            return LinearImage(np.stack(planes, -1).astype(np.float32))
+    for kept in list_images(results):
+        cell = kept.cell.key
+        if (cell.method, cell.clip, cell.target_spp, cell.seed) == key[:4]:
+            image = kept.frame(key.frame).image
+            return LinearImage(np.moveaxis(image, 0, -1).astype(np.float32))
     return None
 
 
@@ -154,15 +145,14 @@ def _compute(key: FrameKey, clip: StoredSource) -> LinearImage:
     """The image of a frame, by running the method up to it."""
     import torch
 
-    from rlbench.benchmark.cell_loader import CellLoader
-    from rlbench.benchmark.frame_images import frame_at, method_image
-    from rlbench.benchmark.resolve import resolve_cells
-    from rlbench.benchmark.run_plan import RunPlan
+    from rlbench.benchmark.frame_images import ImagesError, frame_at, method_image
+    from rlbench.benchmark.run_plan import CellLoader, RunPlan, list_cells
     from rlbench.run import run_clip
 
     row = RowName.parse(key.method)
-    if row.options.weights:
-        raise CropsError(
+    options = row.options
+    if options.weights:
+        raise ImagesError(
             f"{key.method} has weights that the results name and do not hold. Store its images: "
             "rlbench run --keep-images"
         )
@@ -172,11 +162,11 @@ def _compute(key: FrameKey, clip: StoredSource) -> LinearImage:
         (key.target_spp,),
         (key.seed,),
         torch.device("cpu"),
-        bf16=row.options.bf16,
-        backend=row.options.backend,
-        skip_tiles=row.options.skip_tiles,
+        bf16=options.bf16,
+        backend=options.backend,
+        skip_tiles=options.skip_tiles,
     )
-    loader, (cell,) = CellLoader(plan), resolve_cells(plan)
+    loader, (cell,) = CellLoader(plan), list_cells(plan)
     results = run_clip(loader.method(cell), loader.clip(cell), key.target_spp)
     return method_image(key.method, frame_at(results, key.frame)).image
 
@@ -193,13 +183,3 @@ def _difference(image: LinearImage, other: LinearImage) -> UInt8[Array, "h w 3"]
     share = np.abs(image.srgb - other.srgb).mean(-1) / MAX_DIFFERENCE
     colours: Array = colormaps["magma"](share.clip(0, 1), bytes=True)
     return colours[..., :3]
-
-
-def _save(pixels: UInt8[Array, "h w 3"], file: Path) -> None:
-    from PIL import Image
-
-    from rlbench.system import paths
-
-    enlarged = np.ascontiguousarray(pixels.repeat(SCALE, 0).repeat(SCALE, 1))
-    with paths.atomic_write(file) as temporary:
-        Image.fromarray(enlarged).save(temporary, format="png", optimize=True)

@@ -1,9 +1,12 @@
-"""All arrays of a clip folder, as stored: not validated, not scaled by exposure, not corrected."""
+"""The arrays of a clip folder, as stored, and of the first frames of a dump, as imported.
+
+Nothing is validated, scaled by exposure or corrected.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
 
@@ -16,8 +19,10 @@ from rlbench import registry
 from rlbench.clips.exr import read_exr
 from rlbench.clips.frame_files import channel_names, exr_path, image_names
 from rlbench.clips.header import Header, read_header
-
-__all__ = ["ClipArrays", "read_clip_arrays"]
+from rlbench.clips.importers import writer
+from rlbench.clips.importers.dump import find_dump_sequences
+from rlbench.clips.importers.layout import Layout
+from rlbench.clips.importers.sequence import Pixels, SourceError
 
 
 @dataclass(frozen=True)
@@ -47,6 +52,13 @@ class ClipArrays:
         pools = {kind: _replace_nonfinite(pool) for kind, pool in self.pools.items()}
         halves = (_replace_nonfinite(half) for half in (self.half_a, self.half_b))
         return ClipArrays(self.header, gbuffer, pools, *halves)
+
+    @property
+    def without_stand_ins(self) -> ClipArrays:
+        """The arrays without buffers that are constants because the source had none."""
+        absent = {name for name in self.gbuffer if f"no {name}" in self.header.limitations}
+        gbuffer = {name: image for name, image in self.gbuffer.items() if name not in absent}
+        return replace(self, gbuffer=gbuffer)
 
     @property
     def reference(self) -> Float[Tensor, "t 3 h w"]:
@@ -95,3 +107,31 @@ def _is_independent(pool: str) -> bool:
 
 def _replace_nonfinite(image: Tensor, positive_infinity: float = 0.0) -> Tensor:
     return image.nan_to_num(nan=0.0, posinf=positive_infinity, neginf=0.0)
+
+
+MAX_FRAMES = 4
+MAX_SAMPLES = 2  # enough for what is read from them
+
+
+def import_arrays(source: Path, layout: Layout, start: int = 0) -> ClipArrays:
+    """Up to 4 frames of the first clip of a dump from `start` on, with the buffers that it has.
+
+    Raises SourceError where the layout does not fit, or no file of radiance matches.
+    """
+    sequences = find_dump_sequences(source, layout)
+    if not sequences:
+        raise SourceError(f"{source}: no file matches {' or '.join(layout.radiance.patterns)}")
+    sequence = sequences[0]
+    count = min(MAX_SAMPLES, *sequence.counts)
+    frames = [
+        sequence.read(number, count) for number in sequence.numbers[start : start + MAX_FRAMES]
+    ]
+    gbuffer = {name: _stack([frame.gbuffer[name] for frame in frames]) for name in sequence.buffers}
+    header = writer.clip_header(sequence, min(sequence.counts))
+    pools = {"path": _stack([frame.pool for frame in frames])}
+    halves = (_stack([f.half_a for f in frames]), _stack([f.half_b for f in frames]))
+    return ClipArrays(header, gbuffer, pools, *halves).without_stand_ins.sanitized
+
+
+def _stack(images: Sequence[Pixels]) -> Tensor:
+    return torch.from_numpy(np.stack(images).astype(np.float32)).movedim(-1, -3)

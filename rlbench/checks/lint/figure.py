@@ -11,7 +11,7 @@ import torch
 from torch import Tensor
 
 from rlbench.checks.lint.clip_arrays import ClipArrays
-from rlbench.checks.lint.reference import to_display
+from rlbench.checks.lint.radiance import to_display
 from rlbench.checks.result import CheckResult, Verdict
 from rlbench.ops.reprojection import reproject
 from rlbench.system.paths import atomic_write

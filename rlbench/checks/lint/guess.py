@@ -1,36 +1,58 @@
-"""Guess the layout of a dump: names say what the images are, and readings which convention fits.
+"""Guess the layout of a dump: a ready one that reads it, or names and the readings that fit best.
 
-The files are imported in memory as if they kept the conventions of a clip. The checks of a clip
-then say which other reading fits better, and by how much.
+Names say what the images are. The files are imported in memory as if they kept the conventions of a
+clip; the checks of a clip then say which other reading fits better, and by how much.
 """
 
 from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import replace
+from dataclasses import asdict, replace
+from itertools import product
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any, Literal, NamedTuple
 
-from rlbench.checks.lint.albedo import MAX_GAMMA, MIN_PAIRS, colour_slopes
+import torch
+
 from rlbench.checks.lint.checks import fit_depth
-from rlbench.checks.lint.clip_arrays import ClipArrays
-from rlbench.checks.lint.dump_arrays import import_arrays
-from rlbench.checks.lint.dump_names import find_named_images
-from rlbench.checks.lint.geometry import VIEW_DEPTH
-from rlbench.checks.lint.motion import MARGIN_OPPOSITE, MIN_EXPLAINED, rank_conventions
-from rlbench.checks.lint.motion_conventions import DIRECTIONS, MotionConvention
-from rlbench.checks.lint.noise_statistics import local_mean
-from rlbench.checks.lint.normals import check_normals
-from rlbench.checks.lint.orientation import STORED, correlate_orientations, misoriented
+from rlbench.checks.lint.clip_arrays import ClipArrays, import_arrays
+from rlbench.checks.lint.dump_names import find_named_images, list_unclaimed
+from rlbench.checks.lint.edges import (
+    MAX_GAMMA,
+    MIN_PAIRS,
+    STORED,
+    colour_slopes,
+    correlate_orientations,
+    misoriented,
+)
+from rlbench.checks.lint.geometry import VIEW_DEPTH, check_depth, check_normals
+from rlbench.checks.lint.jitter import find_jitter_fault, frame_disagreements
+from rlbench.checks.lint.motion import (
+    DIRECTIONS,
+    MARGIN_OPPOSITE,
+    MIN_EXPLAINED,
+    MotionConvention,
+    check_motion,
+    format_share,
+    rank_conventions,
+)
+from rlbench.checks.lint.radiance import correlate, local_mean
 from rlbench.checks.result import Verdict
-from rlbench.clips.importers.layout import decode_layout
+from rlbench.clips.importers.file_pattern import match_pattern
+from rlbench.clips.importers.jitter import read_offsets
+from rlbench.clips.importers.layout import Camera, Layout, decode_layout, read_layout, ready_layouts
+from rlbench.clips.importers.limits import list_files
+from rlbench.clips.importers.sequence import SourceError
 from rlbench.system.documents import to_toml
-
-__all__ = ["Guess", "format_guess", "guess_layout"]
 
 SURE, LIKELY = 0.1, 0.03  # leads over the next reading
 TO_PREVIOUS = MotionConvention().direction
+PERIODS = (8, 16, 32)  # of the jitter of engines
+Y_AXES: tuple[Literal["down", "up"], ...] = ("down", "up")
+MAX_JITTER_ERROR = 0.4  # of the jitter's change that a sequence does not explain
+MIN_EDGES = 16  # pixels of partial alpha that decide how colours are stored
+MEANS = 0.35  # correlation of noise: half that of a sample with a mean that it is half of
 DEMODULATED = 0.5  # of the deviation from the reference that is left after a product with albedo
 FLIPS = {
     "upside down": "vertical",
@@ -53,6 +75,26 @@ UNITS = {
 Tables = dict[str, Any]
 
 
+def recognize_layout(source: Path) -> str | None:
+    """The name of the ready layout that finds all its buffers in a dump; None if none does."""
+    for name in ready_layouts():
+        layout = read_layout(name)
+        try:
+            arrays = import_arrays(source, layout)
+        except SourceError:
+            continue
+        if set(arrays.gbuffer) < {"albedo", "normal", "depth", "motion"} & set(layout.images):
+            continue
+        fits = fit_depth(arrays)
+        results = [check_motion(arrays)] if "motion" in arrays.gbuffer else []
+        results += [check_depth(arrays, fits)] if "depth" in arrays.gbuffer else []
+        has_space = layout.normal is not None and layout.normal.space != "unknown"
+        results += [check_normals(arrays, fits)] if has_space else []
+        if all(result.verdict is not Verdict.FAILED for result in results):
+            return name
+    return None
+
+
 class Guess(NamedTuple):
     """A guessed layout, and for each table how sure it is and why."""
 
@@ -68,9 +110,10 @@ def guess_layout(source: Path) -> Guess:
     tables: Tables = {name: image.to_table() for name, image in find_named_images(source).items()}
     emission = tables.pop("emission", None)
     reasons = {name: "by its names" for name in tables}
-    if "{spp}" in tables["radiance"]["files"] and "{sample}" not in tables["radiance"]["files"]:
-        tables["radiance"]["samples"] = "accumulated"
-        reasons["radiance"] += "; means of the first samples, because names count spp"
+    for name, reason in (_read_counts(source, tables) | _read_dashes(source, tables)).items():
+        reasons[name] += f"; {reason}"
+    for name, reason in _read_alpha(source, tables).items():
+        reasons[name] += f"; {reason}"
     steps: list[Callable[[ClipArrays, Tables], dict[str, str]]] = [
         _read_background,
         _read_flips,
@@ -85,6 +128,8 @@ def guess_layout(source: Path) -> Guess:
         arrays = import_arrays(source, decode_layout(tables, "guess"))
         for name, reason in step(arrays, tables).items():
             reasons[name] += f"; {reason}"
+    for name, reason in _read_jitter(source, tables).items():
+        reasons[name] = f"{reasons[name]}; {reason}" if name in reasons else reason
     if emission and tables["radiance"].get("demodulated"):  # other radiance holds it already
         tables["emission"] = emission
         reasons["emission"] = "by its names; added, because a product with albedo lacks it"
@@ -98,6 +143,99 @@ def format_guess(guess: Guess) -> str:
         comment = "\n".join(f"# {reason}" for reason in guess.reasons[name].split("; "))
         lines.append(f"\n{comment}\n{to_toml({name: table}).strip()}")
     return "\n".join(lines) + "\n"
+
+
+def format_unclaimed(source: Path, layout: Layout) -> str:
+    """Comments that list the channels which the layout does not read; empty where none is."""
+    lines = list_unclaimed(source, layout)
+    head = "\n# Not read:\n" if lines else ""
+    return head + "".join(f"# {line}\n" for line in lines)
+
+
+def _read_counts(source: Path, tables: Tables) -> dict[str, str]:
+    """Are images that count spp means of the first samples, or the samples themselves?
+
+    The noise of a mean of two correlates with that of the first sample by 0.7.
+    """
+    pattern = tables["radiance"]["files"]
+    if "{spp}" not in pattern or "{sample}" in pattern:
+        return {}
+    paths = (path.relative_to(source) for path in list_files(source))
+    counts = {key.spp for path in paths if (key := match_pattern(pattern, path))}
+    numbered = {
+        name: {**table, "files": table["files"].replace("{spp}", "{sample}")}
+        for name, table in tables.items()
+        if name != "reference"
+    }
+    if counts >= {1, 2}:
+        arrays = import_arrays(source, decode_layout({**tables, **numbered}, "guess"))
+        level = local_mean(arrays.reference)
+        first, second = (
+            ((image - arrays.reference) / level).clamp(-2, 2)
+            for image in arrays.pools["path"].unbind(1)
+        )
+        value, error = correlate(first, second)
+        found = f"the noise of the first two images correlates by {value:.2f} +- {error:.2f}"
+        if value < MEANS:
+            tables.update(numbered)
+            return {"radiance": f"{_sureness(MEANS - value)}: separate samples, because {found}"}
+    elif 0 in counts:
+        tables.update(numbered)
+        return {"radiance": "likely: separate samples, because they are numbered from 0"}
+    else:
+        found = "names count spp"
+    tables["radiance"]["samples"] = "accumulated"
+    return {"radiance": f"means of the first samples, because {found}"}
+
+
+def _read_alpha(source: Path, tables: Tables) -> dict[str, str]:
+    """Are colours multiplied by alpha, as EXR requires? Judged where alpha is partial.
+
+    A pixel of alpha a between a surface F and what is behind it, B, is a F + (1 - a) B if colours
+    are multiplied (or alpha is a mask beside a whole image), and F if they are not.
+    """
+    reasons = {}
+    stored = import_arrays(source, decode_layout(tables, "guess"))
+    for name in ("reference", "radiance"):
+        changed = {**tables, name: {**tables[name], "alpha": "straight"}}
+        try:
+            arrays = import_arrays(source, decode_layout(changed, "guess"))
+        except SourceError:  # it has no channel A
+            continue
+        colour, product = (
+            (each.reference if name == "reference" else each.pools["path"].mean(1)).mean(1, True)
+            for each in (stored, arrays)
+        )
+        found = colour > 0
+        alpha = (product / colour.where(found, 1.0)).where(found, 0.0)
+        surface, behind = (
+            local_mean(colour * mask) / local_mean(mask.float()).clamp_min(1e-6)
+            for mask in (found & (alpha > 0.999), alpha < 0.001)
+        )
+        edge = found & (alpha > 0.05) & (alpha < 0.95) & (surface > 0)
+        over = (alpha * surface + (1 - alpha) * behind).clamp_min(1e-9)
+        errors = [
+            float((colour / model.clamp_min(1e-9))[edge].log().abs().median())
+            for model in (surface, over)
+        ]
+        hidden = float((found & (alpha < 0.001)).float().mean())
+        if int(edge.sum()) >= MIN_EDGES and errors[0] < 0.5 * errors[1]:
+            tables[name]["alpha"] = "straight"
+            factors = " against ".join(f"{math.exp(error):.2f}" for error in errors)
+            reasons[name] = f"likely: not multiplied by alpha, edges differ by {factors}"
+        elif hidden > 0:
+            reasons[name] = f"{hidden:.0%} of the pixels have colour at alpha 0, which is kept"
+    return reasons
+
+
+def _read_dashes(source: Path, tables: Tables) -> dict[str, str]:
+    """Is the - before all numbers a dash? It could be the sign of negative frames."""
+    found = {name: table["files"] for name, table in tables.items() if "-{frame}" in table["files"]}
+    return {
+        name: f"unsure: the - before frames is read as a dash; write {files.replace('-{', '{')} if "
+        "they are negative"
+        for name, files in found.items()
+    }
 
 
 def _read_background(arrays: ClipArrays, tables: Tables) -> dict[str, str]:
@@ -178,7 +316,7 @@ def _read_motion(arrays: ClipArrays, tables: Tables) -> dict[str, str]:
     shares = dict(rank_conventions(arrays))
     best = next(iter(shares))
     if shares[best] < MIN_EXPLAINED:
-        found = f"no convention explains more than {shares[best]:.0%} of the change"
+        found = f"no convention explains more than {format_share(shares[best])} of the change"
         return {"motion": f"unknown: {found}"}
     if shares[best] - shares.get(_opposite(best), -math.inf) < MARGIN_OPPOSITE:
         best = max(best, _opposite(best), key=lambda each: each.direction == TO_PREVIOUS)
@@ -186,10 +324,50 @@ def _read_motion(arrays: ClipArrays, tables: Tables) -> dict[str, str]:
     other = next(each for each in shares if each not in (best, _opposite(best)))
     share, next_share = shares[best], shares[other]
     reasons.append(
-        f"{_sureness(share - next_share)}: {best} explains {share:.0%} of the change between "
-        f"frames, next best {next_share:.0%} as {other}"
+        f"{_sureness(share - next_share)}: {best} explains {format_share(share)} of the change "
+        f"between frames, next best {format_share(next_share)} as {other}"
     )
     return {"motion": "; ".join(reasons)}
+
+
+def _read_jitter(source: Path, tables: Tables) -> dict[str, str]:
+    """Does motion contain the camera's jitter, and that of which Halton sequence?"""
+    layout = decode_layout(tables, "guess")
+    arrays = import_arrays(source, layout)
+    if "motion" not in arrays.gbuffer or not find_jitter_fault(arrays):
+        return {}
+    indices, changes = [], []
+    for start in (0, *(period - 1 for period in PERIODS if arrays.header.frames > period)):
+        part = import_arrays(source, layout, start) if start else arrays
+        found, _ = frame_disagreements(part, list(range(1, len(part))))
+        indices += [start + t for t in range(1, len(part))]
+        changes += [-found]
+    measured = torch.cat(changes)
+    cameras = [
+        Camera(jitter=f"halton {period}", first=first, scale=scale, y=y)
+        for period, scale, y in product(PERIODS, (1.0, -1.0), Y_AXES)
+        for first in range(period)
+    ]
+
+    def error(camera: Camera) -> float:
+        offset = read_offsets(camera, source)
+        expected = [[a - b for a, b in zip(offset(i), offset(i - 1), strict=True)] for i in indices]
+        return float((measured - torch.tensor(expected)).norm() / measured.norm())
+
+    best = min(cameras, key=error)
+    if (left := error(best)) > MAX_JITTER_ERROR:
+        return {
+            "motion": "unsure: it seems to contain the jitter of the camera, of no Halton sequence "
+            "of bases 2 and 3; write jittered = true, and [camera] with jitter = a file of offsets"
+        }
+    tables["motion"]["jittered"] = True
+    tables["camera"] = {
+        key: value for key, value in asdict(best).items() if value != getattr(Camera, key, None)
+    }
+    reason = (
+        f"likely: motion differs by the change of this jitter from the reference, within {left:.0%}"
+    )
+    return {"motion": "likely: contains the jitter of [camera]", "camera": reason}
 
 
 def _opposite(convention: MotionConvention) -> MotionConvention:

@@ -15,11 +15,13 @@ from rlbench.clips.importers.sequence import Pixels, SourceError
 from rlbench.ops.color import decode_srgb
 
 __all__ = [
+    "OUTSIDE",
     "convert_albedo",
     "convert_depth",
     "convert_motion",
     "convert_normal",
     "decode_curve",
+    "parse_axis",
     "separate_samples",
 ]
 
@@ -39,20 +41,22 @@ def decode_curve(image: Pixels, encoding: str) -> Pixels:
 
 
 def convert_albedo(stored: Pixels, albedo: Albedo) -> Pixels:
-    """Linear albedo in [0, 1], clipped. NaN becomes 0."""
+    """Linear albedo in [0, 1], clipped. A pixel with a value that is not finite becomes 0."""
     linear = decode_curve(stored, albedo.encoding) * albedo.scale
-    return np.asarray(np.clip(np.nan_to_num(linear), 0, 1))
+    is_finite = np.isfinite(linear).all(-1, keepdims=True)
+    return np.asarray(np.where(is_finite, np.clip(linear, 0, 1), 0))
 
 
 def convert_normal(stored: Pixels, normal: Normal, rotation: Float[Array, "3 3"] | None) -> Pixels:
     """Unit normals, 0 for background; rotated to world space where a rotation is given.
 
-    Values that are all 0, not finite, or shorter than 0.1 are background.
+    Values that are all 0, one of them not finite, or shorter than 0.1 are background.
     """
-    values = np.nan_to_num(np.asarray(stored, np.float32))
+    values = np.asarray(stored, np.float64)  # squares of any float32 are finite
+    values = np.where(np.isfinite(values).all(-1, keepdims=True), values, 0)
     empty = (values == 0).all(-1, keepdims=True)
     decoded = 2 * values - 1 if normal.encoded else values
-    order = [_axis(word) for word in normal.axes]
+    order = [parse_axis(word, "[normal] axes") for word in normal.axes]
     decoded = np.stack([sign * decoded[..., index] for index, sign in order], -1)
     length = np.linalg.norm(decoded, axis=-1, keepdims=True)
     empty = empty | (length < MIN_NORMAL_LENGTH)
@@ -125,7 +129,7 @@ def _reverse(onward: Float[Array, "h w 2"]) -> Float[Array, "h w 2"]:
     """
     h, w = onward.shape[:2]
     target = np.stack(np.meshgrid(np.arange(w), np.arange(h)), -1).astype(np.float64)
-    field = np.nan_to_num(onward)
+    field = np.where(np.isfinite(onward), onward, OUTSIDE * max(h, w))
     origin = target - field
     for _ in range(REVERSALS):
         origin = target - _sample(field, origin)
@@ -170,7 +174,8 @@ def _ray_length(h: int, w: int, fov: float) -> Float[Array, "h w 1"]:
     return np.asarray(np.sqrt(1 + x**2 + y**2)[..., None])
 
 
-def _axis(word: str) -> tuple[int, int]:
+def parse_axis(word: str, key: str) -> tuple[int, int]:
+    """Index and sign of an axis such as "-y". Raises SourceError, naming the key of the layout."""
     if word not in AXES:
-        raise SourceError(f"[normal] axes has '{word}', expected {', '.join(AXES)}")
+        raise SourceError(f"{key} has '{word}', expected {', '.join(AXES)}")
     return AXES[word]

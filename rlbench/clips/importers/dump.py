@@ -16,7 +16,8 @@ from rlbench.clips.importers.dump_frame import (
     image_size,
     read_frame,
 )
-from rlbench.clips.importers.file_pattern import FileKey, match_pattern
+from rlbench.clips.importers.file_pattern import FileKey, SignReader
+from rlbench.clips.importers.jitter import remove_jitter
 from rlbench.clips.importers.layout import Layout
 from rlbench.clips.importers.sequence import (
     ImportedSequence,
@@ -26,7 +27,7 @@ from rlbench.clips.importers.sequence import (
 )
 from rlbench.clips.importers.stand_ins import add_stand_ins
 
-__all__ = ["find_dump_sequences", "match_files"]
+__all__ = ["find_dump_sequences", "match_files", "sequence_name"]
 
 GBUFFER = ("albedo", "normal", "depth", "motion")
 Files = dict[FileKey, tuple[int, Path]]  # with the rank of the pattern that matched
@@ -61,11 +62,13 @@ def match_files(source: Path, layout: Layout) -> dict[str, dict[int, dict[str, F
     clips: dict[str, dict[int, dict[str, Files]]] = defaultdict(
         lambda: defaultdict(lambda: defaultdict(dict))
     )
-    for path in limits.list_files(source):
-        relative = path.relative_to(source)
+    paths = {path: path.relative_to(source) for path in limits.list_files(source)}
+    patterns = [pattern for image in layout.images.values() for pattern in image.patterns]
+    signs = SignReader(paths.values(), patterns)
+    for path, relative in paths.items():
         for name, image in layout.images.items():
             for rank, pattern in enumerate(image.patterns):
-                if key := match_pattern(pattern, relative):
+                if key := signs.match(pattern, relative):
                     files = clips[key.clip][key.frame][name]
                     _add(files, key._replace(clip=""), rank, path)
                     break
@@ -84,9 +87,13 @@ def _add(files: Files, key: FileKey, rank: int, path: Path) -> None:
     files[key] = (rank, path)
 
 
-def _clean(clip: str) -> str:
-    """The words of a clip's name, joined by hyphens."""
-    return "-".join(part for word in clip.split("/") if (part := word.strip("_-. ")))
+def sequence_name(source: Path, clip: str) -> str:
+    """The name of a sequence: the words of what {clip} stands for, or the folder's.
+
+    Raises SourceError.
+    """
+    words = [part for word in clip.split("/") if (part := word.strip("_-. "))]
+    return clip_name("-".join(words) or source.resolve().name)
 
 
 def _sequence(
@@ -96,7 +103,7 @@ def _sequence(
     layout: Layout,
     frames: tuple[int, int] | None,
 ) -> ImportedSequence:
-    name = clip_name(_clean(clip) or source.resolve().name)
+    name = sequence_name(source, clip)
     rendered = [number for number, files in numbered.items() if "radiance" in files]
     numbers = select_frames(f"clip '{name}'", rendered, frames)
     found = _select(name, {number: numbered[number] for number in numbers}, layout)
@@ -108,6 +115,7 @@ def _sequence(
         height=size[0],
         width=size[1],
         numbers=numbers,
+        first_number=min(rendered),
         counts=tuple(count_samples(found.frames[n], layout) for n in numbers),
         reference_spp=tuple(_reference_spp(found.frames[n], layout, found.halves) for n in numbers),
         buffers=tuple(b for b in GBUFFER if getattr(layout, b) and b not in found.absent),
@@ -121,7 +129,7 @@ def _sequence(
         convention=repr(layout),
         notes=tuple(_absence(layout, image) for image in found.absent),
     )
-    return add_stand_ins(sequence, layout.missing_motion)
+    return remove_jitter(add_stand_ins(sequence, layout.missing_motion), layout, source)
 
 
 def _select(name: str, numbered: Mapping[int, Mapping[str, Files]], layout: Layout) -> _Selection:
@@ -134,11 +142,24 @@ def _select(name: str, numbered: Mapping[int, Mapping[str, Files]], layout: Layo
             _require(name, image, having, frames, layout, numbered)
         elif not having or not has_image(frames[having[0]], image, layout):
             absent.append(image)
+            _check_absent(name, image, having[1:], frames, layout)
         elif len(having) < len(frames):
             select_frames(f"clip '{name}', {image}", having, (min(frames), max(frames) + 1))
-    frames = {number: files.without(absent) for number, files in frames.items()}
-    halves = min(len(files.images["reference"]) for files in frames.values())
-    return _Selection(frames, 2 if halves == 2 else 1, tuple(absent))
+    halves = min(2, *(len(files.images["reference"]) for files in frames.values()))
+    read = {n: files.without(absent).with_references(halves) for n, files in frames.items()}
+    return _Selection(read, halves, tuple(absent))
+
+
+def _check_absent(
+    name: str, image: str, others: Iterable[int], frames: Mapping[int, FrameFiles], layout: Layout
+) -> None:
+    """Raise SourceError where another frame has the channels that the first lacks."""
+    for number in others:
+        if has_image(frames[number], image, layout):
+            raise SourceError(
+                f"clip '{name}': frame {number} has the channels of [{image}], frame {min(frames)} "
+                "has not; render it again, or select others with --frames FIRST:END"
+            )
 
 
 def _require(

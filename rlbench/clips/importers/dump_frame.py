@@ -3,14 +3,16 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
-from itertools import count
+import re
+from collections import Counter
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
 from jaxtyping import Float
 from numpy import ndarray as Array
+from numpy.typing import NDArray
 
 from rlbench.clips.importers import limits
 from rlbench.clips.importers.conversions import (
@@ -21,11 +23,17 @@ from rlbench.clips.importers.conversions import (
     decode_curve,
     separate_samples,
 )
-from rlbench.clips.importers.image_files import exr_size, has_channels, list_channels, read_exr
+from rlbench.clips.importers.image_files import (
+    Channels,
+    exr_size,
+    has_channels,
+    list_channels,
+    read_exr_image,
+)
 from rlbench.clips.importers.layout import Image, Layout
 from rlbench.clips.importers.sequence import ImportedFrame, Pixels, SourceError
 
-__all__ = ["CHANNELS", "FrameFiles", "count_samples", "image_size", "read_frame"]
+__all__ = ["FrameFiles", "count_samples", "has_image", "image_size", "read_frame", "read_rotation"]
 
 RGB, XYZ = ("*.R", "*.G", "*.B"), ("*.X", "*.Y", "*.Z")
 CHANNELS = {  # usual names, the preferred ones first
@@ -54,32 +62,27 @@ class FrameFiles:
         """The files of all other images."""
         return replace(self, images={k: v for k, v in self.images.items() if k not in names})
 
+    def with_references(self, count: int) -> FrameFiles:
+        """The files with the first `count` references alone."""
+        return replace(self, images={**self.images, "reference": self.images["reference"][:count]})
+
 
 def count_samples(files: FrameFiles, layout: Layout) -> int:
     """The 1-spp images of a frame, in files of their own or in channels of one.
 
     Raises SourceError.
     """
-    paths, image = files.images["radiance"], layout.radiance
-    if SAMPLE not in image.part + "".join(image.channel_names):
-        return len(paths)
-    parts = list_channels(paths[0])
-    names = {name for part, channels in parts.items() for name in channels}
-    names |= {f"{part}.{name}" for part, channels in parts.items() for name in channels}
-    first = image.channel_names[0] if image.channel_names else image.part
-    known = names if image.channel_names else set(parts)
-    return next(slot for slot in count() if first.replace(SAMPLE, str(slot)) not in known)
+    return len(_places(files, "radiance", layout))
 
 
 def has_image(files: FrameFiles, name: str, layout: Layout) -> bool:
     """Whether the first file of an image has its channels. Raises SourceError."""
-    image = layout.images[name]
-    return has_channels(files.images[name][0], _channels(name, image), image.part)
+    return has_channels(*_places(files, name, layout)[0])
 
 
 def image_size(files: FrameFiles, name: str, layout: Layout) -> tuple[int, int]:
     """Height and width of the first image of a kind, pixels. Raises SourceError."""
-    return exr_size(files.images[name][0])
+    return exr_size(*_places(files, name, layout)[0])
 
 
 def read_frame(
@@ -95,42 +98,160 @@ def read_frame(
 
     `first` is the first frame of the dump, to which the first matrix of a camera file belongs.
     """
-    files = frames[number]
+    reader = _Reader(frames[number], layout, size)
     gbuffer: dict[str, Pixels] = {}
-    if layout.albedo and (stored := _read(files, "albedo", layout.albedo, size)) is not None:
+    if layout.albedo and (stored := reader.read_buffer("albedo")) is not None:
         gbuffer["albedo"] = convert_albedo(stored, layout.albedo)
-    if layout.normal and (stored := _read(files, "normal", layout.normal, size)) is not None:
+    if layout.normal and (stored := reader.read_buffer("normal")) is not None:
         rotation = None
         if layout.normal.space == "view" and layout.normal.camera:
-            rotation = _read_rotation(source / layout.normal.camera, number - first)
+            rotation = read_rotation(source / layout.normal.camera, number - first)
         gbuffer["normal"] = convert_normal(stored, layout.normal, rotation)
-    if layout.depth and (stored := _read(files, "depth", layout.depth, size)) is not None:
+    if layout.depth and (stored := reader.read_buffer("depth")) is not None:
         gbuffer["depth"] = convert_depth(stored, layout.depth)
-    if layout.motion and (stored := _read(files, "motion", layout.motion, size)) is not None:
+    if layout.motion and (stored := reader.read_buffer("motion")) is not None:
         gbuffer["motion"] = _read_motion(stored, frames, layout, size, number)
-    pool = _read_pool(files, layout, size, samples, gbuffer)
+    pool = _read_pool(reader, samples, gbuffer)
     halves = [
         _modulate(decode_curve(image, layout.reference.encoding), layout.reference, gbuffer)
-        for image in _read_all(files, "reference", layout.reference, size)
+        for image in reader.read_all("reference", 2)
     ]
-    return ImportedFrame(gbuffer, pool, halves[0], halves[len(halves) == 2])
+    return ImportedFrame(
+        gbuffer=gbuffer,
+        pool=pool,
+        half_a=halves[0],
+        half_b=halves[len(halves) == 2],
+        broken=reader.broken_surfaces(gbuffer.get("depth")),
+        empty=reader.empty,
+        files=reader.nonfinite_files,
+        counts=reader.counts,
+    )
 
 
-def _read_pool(
-    files: FrameFiles,
-    layout: Layout,
-    size: tuple[int, int],
-    samples: int,
-    gbuffer: Mapping[str, Pixels],
-) -> Pixels:
+@dataclass(frozen=True)
+class _Reader:
+    """Reads the stored images of one frame; counts windows, and marks values that are broken."""
+
+    files: FrameFiles
+    layout: Layout
+    size: tuple[int, int]
+    counts: Counter[str] = field(default_factory=Counter)
+    broken: dict[str, NDArray[np.bool_]] = field(default_factory=dict)
+    empty: dict[str, NDArray[np.bool_]] = field(default_factory=dict)
+    nonfinite_files: dict[str, Path] = field(default_factory=dict)
+
+    def read_all(self, name: str, most: int) -> list[Pixels]:
+        """The first images of a kind; empty where there is none. Raises SourceError."""
+        places = _places(self.files, name, self.layout)[:most]
+        return [self._read(name, path, channels) for path, channels in places]
+
+    def read_buffer(self, name: str) -> Pixels | None:
+        """A buffer, or None where there is none. Raises SourceError."""
+        for stored in self.read_all(name, 1):
+            is_broken = np.isnan if name == "depth" else lambda values: ~np.isfinite(values)
+            mask = np.asarray(is_broken(stored).any(-1, keepdims=True))
+            if mask.any() and not (name == "motion" and _is_onward(self.layout)):
+                self.broken[name] = mask
+            return stored
+        return None
+
+    def broken_surfaces(self, depth: Pixels | None) -> dict[str, NDArray[np.bool_]]:
+        """Where surfaces are broken: what a sky has in place of a normal or of motion is not."""
+        if depth is None:
+            return self.broken
+        surface = np.isfinite(depth)
+        if "depth" in self.broken:
+            surface |= self.broken["depth"]
+        return {name: np.asarray(mask & surface) for name, mask in self.broken.items()}
+
+    def _read(self, name: str, path: Path, channels: Channels) -> Pixels:
+        image = self.layout.images[name]
+        # what converts to background, black, and no motion
+        fill = {"depth": np.inf, "motion": getattr(image, "offset", 0)}.get(name, 0)
+        pixels, empty, cut = read_exr_image(path, channels, fill)
+        limits.check_same_size(path, pixels.shape[:2], self.size)
+        if not np.isfinite(pixels).all():
+            self.nonfinite_files.setdefault(name, path)
+        for kind, count in (("empty", int(empty.sum())), ("cut", cut)):
+            self.counts[f"{kind} pixels"] += count
+            self.counts[f"{kind} images"] += count > 0
+        self.empty[name] = np.flip(empty, FLIPS[image.flip])
+        if _is_straight(image):
+            pixels = pixels[..., :-1] * pixels[..., -1:]
+        return np.flip(pixels, FLIPS[image.flip])
+
+
+def _places(files: FrameFiles, name: str, layout: Layout) -> list[tuple[Path, Channels]]:
+    """File and channels of each image of a kind: a file each, or the samples in one of them."""
+    image, paths = layout.images[name], files.images.get(name, ())
+    alternatives = _alternatives(name, image)
+    if not paths or SAMPLE not in image.part + "".join(image.channel_names):
+        return [(path, Channels(alternatives, image.part, layout.layer)) for path in paths]
+
+    def fill(text: str, slot: str) -> str:
+        return text.replace(SAMPLE, slot)
+
+    return [
+        (
+            paths[0],
+            Channels(
+                [[fill(channel, slot) for channel in names] for names in alternatives],
+                fill(image.part, slot),
+                layout.layer,
+            ),
+        )
+        for slot in _slots(paths[0], image)
+    ]
+
+
+def _alternatives(name: str, image: Image) -> Sequence[Sequence[str]]:
+    """The names of the channels of an image, or the usual ones, as alternatives."""
+    usual = CHANNELS.get(name, (RGB, XYZ))
+    alternatives = (image.channel_names,) if image.channel_names else usual
+    if _is_straight(image):
+        return [[*names, re.sub(r"\w+$", "A", names[0])] for names in alternatives]
+    return alternatives
+
+
+def _is_straight(image: Image) -> bool:
+    return getattr(image, "alpha", "") == "straight"
+
+
+def _slots(path: Path, image: Image) -> list[str]:
+    """The numbers of the samples in one file, as they are written; the first may be any.
+
+    Raises SourceError where there is none, or one between the first and the last is missing.
+    """
+    parts = list_channels(path)
+    if SAMPLE in image.part:
+        pattern, names = image.part, list(parts)
+    else:
+        pattern = next(channel for channel in image.channel_names if SAMPLE in channel)
+        names = [each for part, channels in parts.items() for each in _aliases(part, channels)]
+    head, *tails = (re.escape(text).replace(r"\*", ".*") for text in pattern.split(SAMPLE))
+    expression = re.compile(head + r"(\d+)" + r"\1".join(tails))
+    found = {int(match[1]): match[1] for match in map(expression.fullmatch, names) if match}
+    numbers = sorted(found)
+    if not numbers or numbers != list(range(numbers[0], numbers[-1] + 1)):
+        listed = f"those numbered {', '.join(map(str, numbers))}" if numbers else ", ".join(names)
+        raise SourceError(f"{path}: expected '{pattern}' numbered without gaps; it has: {listed}")
+    return [found[number] for number in numbers]
+
+
+def _aliases(part: str, channels: Sequence[str]) -> Iterator[str]:
+    """The names of the channels of a part, without and with it."""
+    yield from channels
+    yield from (f"{part}.{channel}" for channel in channels if part)
+
+
+def _read_pool(reader: _Reader, samples: int, gbuffer: Mapping[str, Pixels]) -> Pixels:
     """The samples [s h w 3]: light, times albedo if it is demodulated, and what is added to it."""
+    layout, files = reader.layout, reader.files
     total: Pixels | None = None
     for name, image in (("radiance", layout.radiance), ("specular", layout.specular)):
         if image is None or not files.images.get(name):
             continue
-        stored = [
-            decode_curve(v, image.encoding) for v in _slots(files, name, image, size, samples)
-        ]
+        stored = [decode_curve(v, image.encoding) for v in reader.read_all(name, samples)]
         light = separate_samples(stored) if image.samples == "accumulated" else stored
         part = np.stack([_modulate(each, image, gbuffer) for each in light])
         if total is not None and len(part) != len(total):
@@ -140,69 +261,9 @@ def _read_pool(
             )
         total = part if total is None else total + part
     assert total is not None
-    if (
-        layout.emission
-        and (emission := _read(files, "emission", layout.emission, size)) is not None
-    ):
+    for emission in reader.read_all("emission", 1) if layout.emission else ():
         total = total + emission
     return total
-
-
-def _slots(
-    files: FrameFiles, name: str, image: Image, size: tuple[int, int], samples: int
-) -> list[Pixels]:
-    """The first samples of an image, from files or from channels of one file."""
-    if SAMPLE not in image.part + "".join(image.channel_names):
-        return _read_all(files, name, image, size, samples)
-    path = files.images[name][0]
-
-    def fill(text: str, slot: int) -> str:
-        return text.replace(SAMPLE, str(slot))
-
-    return [
-        _read_image(
-            path,
-            ([fill(channel, slot) for channel in image.channel_names],)
-            if image.channel_names
-            else (RGB, XYZ),
-            fill(image.part, slot),
-            image.flip,
-            size,
-        )
-        for slot in range(samples)
-    ]
-
-
-def _read(files: FrameFiles, name: str, image: Image, size: tuple[int, int]) -> Pixels | None:
-    images = _read_all(files, name, image, size, 1)
-    return images[0] if images else None
-
-
-def _read_all(
-    files: FrameFiles, name: str, image: Image, size: tuple[int, int], most: int = 2
-) -> list[Pixels]:
-    channels = _channels(name, image)
-    return [
-        _read_image(path, channels, image.part, image.flip, size)
-        for path in files.images.get(name, ())[:most]
-    ]
-
-
-def _channels(name: str, image: Image) -> Sequence[Sequence[str]]:
-    """The names of the channels of an image, or the usual ones, as alternatives."""
-    return (image.channel_names,) if image.channel_names else CHANNELS.get(name, (RGB, XYZ))
-
-
-def _read_image(
-    path: Path,
-    channels: Sequence[Sequence[str]],
-    part: str,
-    flip: str,
-    size: tuple[int, int],
-) -> Pixels:
-    pixels = read_exr(path, channels, part)
-    limits.check_same_size(path, pixels.shape[:2], size)
-    return np.flip(pixels, FLIPS[flip])
 
 
 def _read_motion(
@@ -214,12 +275,17 @@ def _read_motion(
 ) -> Pixels:
     """Motion to the previous frame; zero in a first frame whose motion is in no file."""
     assert layout.motion is not None
-    if layout.motion.points.endswith("previous"):
+    if not _is_onward(layout):
         return convert_motion(stored, layout.motion)
     if number - 1 not in frames:
         return np.zeros((*size, 2), np.float32)
-    previous = _read(frames[number - 1], "motion", layout.motion, size)
+    (previous,) = _Reader(frames[number - 1], layout, size).read_all("motion", 1)
     return convert_motion(stored, layout.motion, previous)
+
+
+def _is_onward(layout: Layout) -> bool:
+    """Whether motion points to the next frame, so that of the frame before is read."""
+    return layout.motion is not None and layout.motion.points.endswith("next")
 
 
 def _modulate(light: Pixels, image: Image, gbuffer: Mapping[str, Pixels]) -> Pixels:
@@ -231,10 +297,10 @@ def _modulate(light: Pixels, image: Image, gbuffer: Mapping[str, Pixels]) -> Pix
     return light * gbuffer["albedo"]
 
 
-def _read_rotation(path: Path, index: int) -> Float[Array, "3 3"]:
+def read_rotation(path: Path, index: int) -> Float[Array, "3 3"]:
     """The rotation of one camera-to-world matrix in a JSON file. Raises SourceError."""
     try:
-        document = json.loads(path.read_text())
+        document = json.loads(path.read_text("utf-8-sig"))
         matrices = document["camera_to_world"] if isinstance(document, dict) else document
         matrix = np.array(matrices[index], np.float64)
     except (OSError, ValueError, TypeError, KeyError, IndexError) as error:

@@ -8,14 +8,18 @@ from __future__ import annotations
 
 import importlib
 from collections import Counter
+from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 
+from rlbench.clips.importers import left_out
 from rlbench.clips.importers.dump import find_dump_sequences
 from rlbench.clips.importers.layout import read_layout, ready_layouts
 from rlbench.clips.importers.sequence import ImportedSequence, SourceError
+from rlbench.clips.importers.sky import add_sky_motion
 from rlbench.clips.importers.stand_ins import add_stand_ins
 
-__all__ = ["FORMATS", "find_sequences"]
+__all__ = ["FORMATS", "describe_left_out", "find_sequences"]
 
 FORMATS = {  # what no layout describes: zarr arrays in zips; 8-bit PNG with motion as torch tensors
     "noisebase": "rlbench.clips.importers.noisebase",
@@ -25,13 +29,13 @@ ALIASES = {"paper": "rl-path-tracing"}  # other accepted names
 
 
 def find_sequences(
-    source: Path, layout: str, frames: tuple[int, int] | None = None
+    source: Path, layout: str, frames: tuple[int, int] | None = None, layer: str = ""
 ) -> list[ImportedSequence]:
     """The sequences in a folder, sorted by name; each becomes one clip.
 
     `layout` is the name of a ready layout or of a format, or a TOML file. `frames` selects the
-    frames from its first number to its second, exclusive. Buffers that the source lacks are
-    replaced by stand-ins.
+    frames from its first number to its second, exclusive. `layer` is the layout's. Buffers that the
+    source lacks are replaced by stand-ins.
 
     Raises SourceError for an unknown layout, for a folder without a sequence, for two sequences of
     one name, and for files that cannot be imported.
@@ -43,7 +47,10 @@ def find_sequences(
         expected = module.LAYOUT
     else:
         read = read_layout(layout, [*ready_layouts(), *FORMATS])
-        clips = find_dump_sequences(source, read, frames)
+        read = replace(read, layer=layer or read.layer)
+        clips = [
+            add_sky_motion(clip, read, source) for clip in find_dump_sequences(source, read, frames)
+        ]
         expected = " or ".join(read.radiance.patterns)
     if not clips:
         content = ", ".join(sorted(path.name for path in source.iterdir())[:8]) or "nothing"
@@ -57,3 +64,19 @@ def find_sequences(
             f"{source} holds two clips named '{duplicates[0]}'; import their folders separately"
         )
     return sorted(clips, key=lambda sequence: sequence.name)
+
+
+def describe_left_out(
+    source: Path,
+    layout: str,
+    drawn: Sequence[tuple[ImportedSequence, int]],
+    frames: tuple[int, int] | None = None,
+) -> list[str]:
+    """Lines that name the files of a source which no clip is made from, with the reasons.
+
+    `drawn` are the sequences that `find_sequences` found, with the samples per pixel of each clip.
+    """
+    read = None if ALIASES.get(layout, layout) in FORMATS else read_layout(layout)
+    files = left_out.find_left_out(source, read, drawn, frames)
+    files.pop(Path(layout), None)  # a layout that lies in the dump itself
+    return list(left_out.describe_left_out(source, files))

@@ -6,96 +6,179 @@ from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from fnmatch import fnmatchcase
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
-import OpenEXR
 from numpy.typing import NDArray
 from PIL import Image
 
-from rlbench.clips.exr import read_planes
-from rlbench.clips.exr_header import ExrHeader, read_exr_parts
+from rlbench.clips.exr import DeepImageError, ExrHeader, read_exr_parts, read_planes
 from rlbench.clips.importers.limits import check_size
 from rlbench.clips.importers.sequence import Pixels, SourceError
 
-Alternatives = Sequence[Sequence[str]]  # lists of channel names, the preferred one first
+__all__ = [
+    "Channels",
+    "ExrImage",
+    "exr_size",
+    "has_channels",
+    "list_channels",
+    "png_size",
+    "read_exr",
+    "read_exr_image",
+    "read_png",
+]
+
+COMPOSITE = "Composite."  # Blender's layer of the compositor, which is read only where it is named
 
 
-def exr_size(path: Path) -> tuple[int, int]:
-    """Height and width of the first part of an EXR, pixels. Raises SourceError."""
+class Channels(NamedTuple):
+    """Which channels to read: lists of names, of which the first is read that one part has.
+
+    A name is that of a channel, of a part and its channel (`albedo.R`), a pattern with `*`, or
+    after a leading `*.` the last word of a name, in any case. `part` selects parts by name or
+    pattern. `layer` decides where a pattern matches the channels of several layers.
+    """
+
+    alternatives: Sequence[Sequence[str]]
+    part: str = ""
+    layer: str = ""
+
+
+class ExrImage(NamedTuple):
+    """The pixels of a display window, of which the file may have only some, or others too."""
+
+    pixels: Pixels  # h w c, in the precision of the file; of UINT channels float64
+    empty: NDArray[np.bool_]  # h w 1, outside the data window
+    cut: int  # pixels of the data window outside the display window
+
+
+def exr_size(path: Path, channels: Channels) -> tuple[int, int]:
+    """Height and width of the image that has these channels, pixels. Raises SourceError."""
     with _convert_errors(path):
-        return _size(path, read_exr_parts(path)[0])
+        header, _ = _find_channels(path, read_exr_parts(path), channels)
+        return check_size(path, *header.display_size)
 
 
-def read_exr(path: Path, alternatives: Alternatives, part: str = "") -> Pixels:
-    """Channels of one part of an EXR, [h w c], in the precision of the file.
+def read_exr(
+    path: Path, alternatives: Sequence[Sequence[str]], part: str = "", fill: float = 0.0
+) -> Pixels:
+    """Channels of one part of an EXR, [h w c], as `read_exr_image` reads them."""
+    return read_exr_image(path, Channels(alternatives, part), fill).pixels
 
-    The first list of names is read whose channels one part has. A name is that of a channel, of a
-    part and its channel (`albedo.R`), a pattern with `*`, or after a leading `*.` the last word of
-    a name, in any case. `part` selects a part by its name.
 
-    Raises SourceError where the file is broken, too large, or has no such channels.
+def read_exr_image(path: Path, channels: Channels, fill: float = 0.0) -> ExrImage:
+    """Channels of one part of an EXR: the display window, with `fill` where there are no data.
+
+    Raises SourceError where the file is broken, too large, deep, has no such channels, or no data
+    inside the display window.
     """
     with _convert_errors(path):
-        headers = read_exr_parts(path)
-        index, names = _find_channels(path, headers, alternatives, part)
-        _size(path, headers[index])
-        if len(headers) == 1:
-            planes = read_planes(path, headers[0], names)
-        else:
-            with OpenEXR.File(str(path), separate_channels=True) as file:
-                channels = file.parts[index].channels
-                planes = [np.array(channels[name].pixels) for name in names]
-        return np.stack(planes, axis=-1)
+        header, names = _find_channels(path, read_exr_parts(path), channels)
+        h, w = check_size(path, *header.display_size)
+        source, target = _overlap(path, header)
+        planes = [
+            plane.astype(np.float64) if plane.dtype.kind == "u" else plane
+            for plane in read_planes(path, header, names)
+        ]
+        data = np.stack(planes, axis=-1)
+        empty = np.ones((h, w, 1), bool)
+        empty[target] = False
+        pixels = data
+        if header.data_window != header.display_window:
+            pixels = np.full((h, w, len(names)), fill, data.dtype)
+            pixels[target] = data[source]
+        return ExrImage(pixels, empty, data[..., 0].size - int((~empty).sum()))
 
 
-def has_channels(path: Path, alternatives: Alternatives, part: str = "") -> bool:
+def has_channels(path: Path, channels: Channels) -> bool:
     """Whether `read_exr` finds these channels. Raises SourceError where the file is broken."""
     with _convert_errors(path):
-        headers = read_exr_parts(path)
-    return _locate(path, headers, alternatives, part) is not None
+        return _locate(path, read_exr_parts(path), channels) is not None
 
 
 def list_channels(path: Path) -> dict[str, list[str]]:
-    """The half and float channels of each part of an EXR, by the part's name. Raises SourceError.
+    """The channels with a value in every pixel of each part of an EXR, by the part's name.
 
-    The only part of a single-part file has an empty name.
+    The only part of a single-part file has an empty name; deep parts are left out. Raises
+    SourceError.
     """
     with _convert_errors(path):
-        return {header.name: _readable(header) for header in read_exr_parts(path)}
+        headers = read_exr_parts(path)
+        if all(header.is_deep for header in headers):
+            raise DeepImageError
+        return {header.name: _full(header) for header in headers if not header.is_deep}
+
+
+def _overlap(path: Path, header: ExrHeader) -> tuple[tuple[slice, slice], tuple[slice, slice]]:
+    """Rows and columns that both windows share: in the data, and in the image."""
+    data, display = header.data_window, header.display_window
+    x, y = max(data[0], display[0]), max(data[1], display[1])
+    x_end, y_end = min(data[2], display[2]) + 1, min(data[3], display[3]) + 1
+    if x >= x_end or y >= y_end:
+        raise SourceError(
+            f"{path} has no pixel of its image: the data window {data} lies outside the display "
+            f"window {display}"
+        )
+
+    def window(left: int, top: int) -> tuple[slice, slice]:
+        return slice(y - top, y_end - top), slice(x - left, x_end - left)
+
+    return window(*data[:2]), window(*display[:2])
 
 
 def _find_channels(
-    path: Path, headers: Sequence[ExrHeader], alternatives: Alternatives, part: str
-) -> tuple[int, list[str]]:
+    path: Path, headers: Sequence[ExrHeader], channels: Channels
+) -> tuple[ExrHeader, list[str]]:
     """The part that has the channels of one alternative, and their names there."""
-    if found := _locate(path, headers, alternatives, part):
+    found = _locate(path, headers, channels)
+    read = [found[0]] if found else _select_parts(headers, channels.part)
+    if any(header.is_deep for header in read):
+        raise DeepImageError
+    if found:
         return found
     parts = "; ".join(
-        f"{header.name + ': ' if header.name else ''}{', '.join(_readable(header)[:24])}"
+        f"{header.name + ': ' if header.name else ''}{', '.join(_full(header)[:24]) or 'nothing'}"
         for header in headers
     )
-    expected = " or ".join(", ".join(names).replace("*.", "") for names in alternatives)
-    where = f" in the part '{part}'" if part else ""
-    raise SourceError(f"{path}: expected channels {expected}{where}; it has: {parts}")
+    expected = " or ".join(", ".join(names).replace("*.", "") for names in channels.alternatives)
+    where = f" in the part '{channels.part}'" if channels.part else ""
+    others = [
+        f"{name} ({channel.x_sampling} x {channel.y_sampling})"
+        for header in headers
+        for name, channel in header.channels.items()
+        if not channel.is_full
+    ]
+    subsampled = f"; subsampled ones are not read: {', '.join(others)}" if others else ""
+    raise SourceError(f"{path}: expected channels {expected}{where}; it has: {parts}{subsampled}")
 
 
 def _locate(
-    path: Path, headers: Sequence[ExrHeader], alternatives: Alternatives, part: str
-) -> tuple[int, list[str]] | None:
-    for names in alternatives:
-        for index, header in enumerate(headers):
-            if not part or fnmatchcase(header.name, part):
-                found = [_find_channel(path, header, name) for name in names]
-                if all(found):
-                    return index, [name for name in found if name]
+    path: Path, headers: Sequence[ExrHeader], channels: Channels
+) -> tuple[ExrHeader, list[str]] | None:
+    parts = _select_parts(headers, channels.part)
+    parts.sort(key=lambda each: (each.is_deep, f"{each.name}.".startswith(COMPOSITE)))
+    in_layer = [
+        [f"{channels.layer}{name[1:]}" if name.startswith("*.") else name for name in names]
+        for names in channels.alternatives
+        if channels.layer
+    ]
+    for names in (*in_layer, *channels.alternatives):
+        for header in parts:  # the order of the file decides
+            found = [_find_channel(path, header, name) for name in names]
+            if all(found):
+                return header, [name for name in found if name]
     return None
+
+
+def _select_parts(headers: Sequence[ExrHeader], part: str) -> list[ExrHeader]:
+    """The parts with this name, or that match this pattern; all for an empty one."""
+    named = [header for header in headers if header.name == part]
+    return named or [each for each in headers if not part or fnmatchcase(each.name, part)]
 
 
 def _find_channel(path: Path, header: ExrHeader, pattern: str) -> str | None:
     """The only channel that a pattern matches, or None. Raises SourceError for several."""
-    names = _readable(header)
-    if pattern in names:
-        return pattern
+    names = _full(header)
     aliases = {f"{header.name}.{name}": name for name in names} | {name: name for name in names}
     if pattern in aliases:
         return aliases[pattern]
@@ -104,15 +187,18 @@ def _find_channel(path: Path, header: ExrHeader, pattern: str) -> str | None:
     if not found:
         found = {name for alias, name in aliases.items() if fnmatchcase(alias, pattern)}
     if len(found) > 1:
+        found = {name for name in found if not name.startswith(COMPOSITE)} or found
+    if len(found) > 1:
+        layer = min(found)[: 1 - len(pattern)] if pattern.startswith("*.") else ""
         raise SourceError(
             f"{path}: '{pattern}' matches several channels: {', '.join(sorted(found))}; "
-            "name one of them in `channels`, or a `part`"
+            f"name one of them in `channels`, or a `part`{f', or --layer {layer!r}' * bool(layer)}"
         )
     return next(iter(found), None)
 
 
-def _readable(header: ExrHeader) -> list[str]:
-    return [name for name, channel in header.channels.items() if channel.is_readable]
+def _full(header: ExrHeader) -> list[str]:
+    return [name for name, channel in header.channels.items() if channel.is_full]
 
 
 def read_png(path: Path) -> NDArray[np.uint8]:
@@ -134,15 +220,6 @@ def png_size(path: Path) -> tuple[int, int]:
         return check_size(path, image.height, image.width)
 
 
-def _size(path: Path, header: ExrHeader) -> tuple[int, int]:
-    if header.data_window != header.display_window:
-        raise SourceError(
-            f"{path} has the data window {header.data_window}, expected the whole display window "
-            f"{header.display_window}"
-        )
-    return check_size(path, *header.size)
-
-
 @contextmanager
 def _convert_errors(path: Path) -> Iterator[None]:
     """Raise errors of the decoders as SourceError."""
@@ -150,6 +227,8 @@ def _convert_errors(path: Path) -> Iterator[None]:
         yield
     except SourceError:
         raise
+    except DeepImageError as error:
+        raise SourceError(f"{path} is a deep image; flatten it first") from error
     except (
         *(OSError, RuntimeError, ValueError, KeyError, SyntaxError),
         Image.DecompressionBombError,

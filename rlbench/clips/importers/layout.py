@@ -18,6 +18,7 @@ __all__ = ["Image", "Layout", "decode_layout", "read_layout", "ready_layouts"]
 
 Words = str | tuple[str, ...]
 Curve = Literal["linear", "srgb"]
+Alpha = Literal["premultiplied", "straight"]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -49,20 +50,26 @@ class Image:
 class Radiance(Image):
     """Noisy images of 1 spp, one per sample; or means of the first 1, 2, 3, ... samples.
 
-    `demodulated` light is multiplied by albedo.
+    `demodulated` light is multiplied by albedo, light with `straight` alpha by its channel A.
     """
 
     samples: Literal["separate", "accumulated"] = "separate"
     encoding: Curve = "linear"
+    alpha: Alpha = "premultiplied"
     demodulated: bool = False
 
 
 @dataclass(frozen=True, kw_only=True)
 class Reference(Image):
-    """The converged image. `spp` is that of both halves together; 0: from the name, or unknown."""
+    """The converged image. `spp` is that of both halves together; 0: from the name, or unknown.
+
+    `jittered`: it is moved within the pixel as the samples are.
+    """
 
     spp: int = 0
+    jittered: bool = False
     encoding: Curve = "linear"
+    alpha: Alpha = "premultiplied"
     demodulated: bool = False
 
 
@@ -111,6 +118,13 @@ class Motion(Image):
     """Motion vectors: (stored - offset) * scale in `unit`, at the pixels of the frame they are in.
 
     "from previous" is the negative of "to previous". "to next" points into the next frame.
+    `jittered` vectors contain the difference of the camera's jitter, which is taken out.
+
+    `sky` says whose motion background has: its own ("stored"), that of a turning camera, or an
+    "unknown" one, which points outside; "auto" takes its own unless it is 0 while surfaces move.
+    The camera is known by `camera`, a JSON file as for normals, and `fov` (horizontal, degrees), by
+    default those of [normal] and [depth]. `camera_axes` are the matrices' axes along right, down
+    and forward of the image.
     """
 
     unit: Literal["pixels", "ndc", "shares"] = "pixels"
@@ -118,6 +132,31 @@ class Motion(Image):
     points: Literal["to previous", "from previous", "to next", "from next"] = "to previous"
     scale: float = 1.0
     offset: float = 0.0
+    jittered: bool = False
+    sky: Literal["auto", "stored", "unknown"] = "auto"
+    camera: str = ""
+    fov: float | None = None
+    camera_axes: tuple[str, str, str] = ("x", "-y", "-z")
+
+
+@dataclass(frozen=True, kw_only=True)
+class Camera:
+    """How the camera moves within a pixel from frame to frame, for antialiasing over time.
+
+    `jitter` is "halton PERIOD", of bases 2 and 3 minus 0.5, or a text file below the dump with x
+    and y of each frame on a line. They say where the samples of a pixel are, from its centre, in
+    pixels times `scale`, x right; `first` is the entry of the first frame, from 0 on.
+    """
+
+    jitter: str
+    first: int = 0
+    scale: float = 1.0
+    y: Literal["down", "up"] = "down"
+
+    @property
+    def files(self) -> tuple[str, ...]:
+        """The file of offsets, if there is one."""
+        return () if self.jitter.strip().lower().startswith("halton ") else (self.jitter,)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -125,7 +164,8 @@ class Layout:
     """A whole layout. `specular` and `emission` are added to radiance, and may be absent.
 
     `missing_motion` replaces absent motion: zero, or optical flow of albedo. `exposure` is a factor
-    or "auto". `frames_per_second` may be any number above 0.
+    or "auto". `frames_per_second` may be any number above 0. `layer` is read where a channel's
+    pattern matches several layers.
     """
 
     radiance: Radiance
@@ -136,16 +176,25 @@ class Layout:
     normal: Normal | None = None
     depth: Depth | None = None
     motion: Motion | None = None
+    camera: Camera | None = None
     missing_motion: Literal["zero", "flow"] = "zero"
     exposure: float | Literal["auto"] = "auto"
     frames_per_second: float = 24.0
     renderer: str = "unknown"
+    layer: str = ""
 
     @property
     def images(self) -> dict[str, Image]:
         """The images that the layout names, by table."""
         values = {field.name: getattr(self, field.name) for field in dataclasses.fields(self)}
         return {name: value for name, value in values.items() if isinstance(value, Image)}
+
+    @property
+    def other_files(self) -> tuple[str, ...]:
+        """Files below the dump that are no images."""
+        cameras = (image.camera for image in (self.normal, self.motion) if image)
+        offsets = self.camera.files if self.camera else ()
+        return tuple(dict.fromkeys(name for name in (*cameras, *offsets) if name))
 
 
 def ready_layouts() -> dict[str, Path]:

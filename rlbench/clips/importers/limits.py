@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import os
 from pathlib import Path
+from typing import NoReturn
 
-from rlbench.clips.header_limits import MAX_PIXELS
+from rlbench.clips.header import MAX_PIXELS
 from rlbench.clips.importers.sequence import SourceError
 
 MAX_FILES = 1_000_000  # at and below one source folder
@@ -16,18 +17,34 @@ MAX_ARRAY_BYTES = 2**31  # of one array, unpacked
 def list_files(root: Path) -> list[Path]:
     """Regular files at and below `root`, sorted. Linked folders are not entered.
 
-    Raises SourceError where `root` is no folder, a link leads out of it, or it has too many files.
+    Raises SourceError where `root` is no folder, a folder in it cannot be read, a link leads out of
+    it, or it has too many files.
+    """
+    return [path for path in list_entries(root) if path.is_file()]
+
+
+def list_entries(root: Path) -> list[Path]:
+    """All that is at and below `root` except real folders, sorted: also links to folders.
+
+    Raises SourceError as `list_files`.
     """
     if not root.is_dir():
         raise SourceError(f"no folder {root}; SOURCE must be a folder of frames")
-    files: list[Path] = []
-    for folder, subfolders, names in os.walk(root):
-        for subfolder in subfolders:
-            check_inside(root, Path(folder, subfolder))
-        files += [check_inside(root, Path(folder, name)) for name in names]
-        if len(files) > MAX_FILES:
+    entries: list[Path] = []
+    for folder, subfolders, names in os.walk(root, onerror=_refuse_folder):
+        inside = [check_inside(root, Path(folder, name)) for name in (*subfolders, *names)]
+        entries += [path for path in inside if path.is_symlink() or not path.is_dir()]
+        if len(entries) > MAX_FILES:
             raise SourceError(f"{root} holds more than {MAX_FILES} files; name a folder inside it")
-    return sorted(path for path in files if path.is_file())
+    return sorted(entries)
+
+
+def _refuse_folder(error: OSError) -> NoReturn:
+    """Raise SourceError: what is in a folder that cannot be read would be lost silently."""
+    raise SourceError(
+        f"{error.filename} cannot be read ({error.strerror}); make it readable, or move it out of "
+        "the source"
+    ) from error
 
 
 def check_inside(root: Path, path: Path) -> Path:

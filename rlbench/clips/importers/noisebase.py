@@ -142,7 +142,8 @@ def _read(
         "depth": np.where(hit, depth[..., None], np.inf),
         "motion": motion,
     }
-    return ImportedFrame(gbuffer, pool, reference, reference)
+    files = dict.fromkeys(("radiance", "reference", *gbuffer), paths[number])
+    return ImportedFrame(gbuffer, pool, reference, reference, files=files)
 
 
 def _decode_rgbe(rgbe: Pixels, exposure: Pixels) -> Pixels:

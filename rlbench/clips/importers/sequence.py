@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import NamedTuple
@@ -11,7 +11,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from rlbench.clips.header_limits import LIMITS, is_plain_name
+from rlbench.clips.header import LIMITS, is_plain_name
 from rlbench.errors import RlbenchError
 
 __all__ = [
@@ -39,6 +39,10 @@ class ImportedFrame(NamedTuple):
     pool: Pixels  # s h w 3, independent 1-spp images
     half_a: Pixels  # h w 3, the reference, or one half of it
     half_b: Pixels  # h w 3, the same again, or the other half
+    broken: Mapping[str, NDArray[np.bool_]] = {}  # h w 1, by buffer: replaced by background
+    empty: Mapping[str, NDArray[np.bool_]] = {}  # h w 1, by image: outside the data window
+    files: Mapping[str, Path] = {}  # by image, the first whose values are not finite
+    counts: Mapping[str, int] = {}  # of what is unusual in the images, see Findings
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -50,12 +54,14 @@ class ImportedSequence:
     height: int  # pixels
     width: int  # pixels
     numbers: tuple[int, ...]  # frame numbers in the source
+    first_number: int = 0  # of all in the source, to which the first pose of a camera belongs
     counts: tuple[int, ...]  # 1-spp images of each frame
     reference_spp: tuple[int, ...]  # samples per pixel of each reference; 0 where unknown
     buffers: tuple[str, ...]  # of the G-buffer
     limitations: tuple[str, ...]  # keys of `rlbench.clips.header.LIMITATIONS`
     files: tuple[Path, ...]  # all files that are read
     read: Callable[[int, int], ImportedFrame]  # reads (frame number, samples per pixel)
+    jitter: tuple[tuple[float, float], ...] = ()  # offset of the samples of each frame, pixels
     fps: float = 24.0  # frames per second
     exposure: float | None = None  # that suits the source; None: from its luminance
     convention: str = ""  # what else decides the frames, for telling one import from another
@@ -65,10 +71,10 @@ class ImportedSequence:
 def parse_frame_range(text: str) -> tuple[int, int]:
     """The first frame and the end, exclusive, of a range FIRST:END. Raises SourceError.
 
-    >>> parse_frame_range("0:20")
-    (0, 20)
+    >>> parse_frame_range("0:20"), parse_frame_range("-3:0")
+    ((0, 20), (-3, 0))
     """
-    match = re.fullmatch(r"(\d{1,18}):(\d{1,18})", text)
+    match = re.fullmatch(r"(-?\d{1,18}):(-?\d{1,18})", text)
     if not match or int(match[1]) >= int(match[2]):
         raise SourceError(
             f"'{text}' is not a range of frames; --frames takes FIRST:END, for example 0:20"

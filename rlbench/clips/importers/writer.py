@@ -14,6 +14,7 @@ from rlbench.clips.exposure import area_luminance, exposure_from_areas
 from rlbench.clips.frame_files import exceeds_float, file_kinds, has_frame, write_frame
 from rlbench.clips.header import FILE, Header, read_header, write_header
 from rlbench.clips.importers import limits
+from rlbench.clips.importers.repairs import Findings, check_finite, repair_frame
 from rlbench.clips.importers.sequence import ImportedFrame, ImportedSequence, SourceError
 from rlbench.system import paths
 
@@ -47,6 +48,7 @@ def clip_header(sequence: ImportedSequence, samples: int | None, exposure: float
         exposure=exposure,
         pool_spp=min(requested, fewest),
         reference_spp=sequence.reference_spp,
+        jitter=sequence.jitter,
         buffers=sequence.buffers,
         limitations=sequence.limitations,
     )
@@ -58,22 +60,18 @@ def clip_header(sequence: ImportedSequence, samples: int | None, exposure: float
     return header
 
 
-def estimate_exposure(sequence: ImportedSequence) -> float:
+def estimate_exposure(sequence: ImportedSequence, sanitize: bool = False) -> float:
     """The exposure for the references of up to 8 frames; that of the source, if it has one.
 
     The rule is that of `rlbench render-scene`. A black sequence has exposure 1. Raises SourceError
-    for references that are not finite.
+    for values that are not finite, unless they are to be repaired.
     """
     if sequence.exposure is not None:
         return sequence.exposure
     count = min(len(sequence.numbers), MAX_EXPOSURE_FRAMES)
     chosen = [sequence.numbers[round(i)] for i in np.linspace(0, len(sequence.numbers) - 1, count)]
-    areas = np.stack([area_luminance(sequence.read(number, 1).half_a) for number in chosen])
-    if not np.isfinite(areas).all():
-        raise SourceError(
-            f"clip '{sequence.name}': a reference is not finite, so no exposure can be chosen; "
-            "correct the source, or import with --exposure 1"
-        )
+    frames = (_read_valid(sequence, number, 1, sanitize) for number in chosen)
+    areas = np.stack([area_luminance(frame.half_a) for frame in frames])
     return exposure_from_areas(areas) if areas.max() > 0 else 1.0
 
 
@@ -82,24 +80,33 @@ def write_clip(
     header: Header,
     folder: Path,
     on_frame: Callable[[], None] = lambda: None,
-) -> None:
+    sanitize: bool = False,
+) -> Findings:
     """Write the missing files of a clip, the header last; call `on_frame` after each frame.
 
-    If it is interrupted and called again, the clip is the same. Raises SourceError, before
-    anything is changed, where the folder holds frames of another import or of a renderer.
+    `sanitize` repairs values that are not valid. Returns what was unusual in the frames that were
+    written. If it is interrupted and called again, the clip is the same. Raises SourceError for
+    values that are not finite, and, before anything is changed, where the folder holds frames of
+    another import or of a renderer.
     """
     _claim(sequence, header, folder)
+    findings = Findings()
     for index, number in enumerate(sequence.numbers):
         if not has_frame(folder, index, header.pools):
-            frame = sequence.read(number, header.pool_spp)
+            frame = _read_valid(sequence, number, header.pool_spp, sanitize)
+            findings.add(number, frame.counts)
+            findings.add(number, {f"broken {k}": int(m.sum()) for k, m in frame.broken.items()})
             _check_exposed(header, number, frame)
             pools = {"path": frame.pool}
             write_frame(folder, index, frame.gbuffer, pools, frame.half_a, frame.half_b)
         on_frame()
     write_header(folder, header)
+    return findings
 
 
-def change_exposure(sequence: ImportedSequence, folder: Path, exposure: float) -> float:
+def change_exposure(
+    sequence: ImportedSequence, folder: Path, exposure: float, sanitize: bool = False
+) -> float:
     """Write another exposure into the header of a finished clip; returns that of before.
 
     Nothing is written where they are equal. Raises SourceError where exposed radiance would exceed
@@ -108,7 +115,8 @@ def change_exposure(sequence: ImportedSequence, folder: Path, exposure: float) -
     stored = read_header(folder)
     header = replace(stored, exposure=exposure)
     for number in sequence.numbers if exposure > stored.exposure else ():
-        _check_exposed(header, number, sequence.read(number, header.pool_spp))
+        frame = _read_valid(sequence, number, header.pool_spp, sanitize)
+        _check_exposed(header, number, frame)
     if exposure != stored.exposure:
         write_header(folder, header)
     return stored.exposure
@@ -119,6 +127,17 @@ def is_finished(sequence: ImportedSequence, header: Header, folder: Path) -> boo
     complete = all(has_frame(folder, index, header.pools) for index in range(header.frames))
     key = _content_key(sequence, header)
     return complete and (folder / FILE).is_file() and _stored_key(folder) == key
+
+
+def _read_valid(
+    sequence: ImportedSequence, number: int, samples: int, sanitize: bool
+) -> ImportedFrame:
+    """A frame whose values are finite. Raises SourceError where they are not, or repairs them."""
+    frame = sequence.read(number, samples)
+    if sanitize:
+        return repair_frame(frame)
+    check_finite(sequence.name, number, frame)
+    return frame
 
 
 def _check_exposed(header: Header, number: int, frame: ImportedFrame) -> None:

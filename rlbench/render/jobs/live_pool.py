@@ -16,8 +16,8 @@ from torch import Tensor
 
 from rlbench.clips.exr import channel_dtype
 from rlbench.clips.frame_files import exr_path
+from rlbench.clips.in_memory import ClipWrapper
 from rlbench.clips.stored import ClipError, StoredClip, read_header, sample_order
-from rlbench.clips.wrapper import ClipWrapper
 from rlbench.frames import Frame, Samples, Size
 from rlbench.render.fingerprint import fingerprint
 from rlbench.render.jobs.job import FRAME_POOLS, read_content_key

@@ -1,4 +1,4 @@
-"""A baseline file is read, or refused with what is wrong; some ship with the package."""
+"""A baseline is read, refused with what is wrong, or rewritten from results."""
 
 from __future__ import annotations
 
@@ -7,16 +7,24 @@ import math
 from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
 import pytest
+import scipy.stats
 
 from rlbench.benchmark.regression.baseline import (
+    FALSE_ALARMS,
     BaselineError,
+    ScoreKey,
+    allowed_falls,
     find_baseline,
     load_baseline,
     shipped_baselines,
+    update_baseline,
 )
+from rlbench.benchmark.regression.comparison import compare
+from rlbench.benchmark.results import to_dataframe
 from rlbench.render.presets import PRESETS
-from tests.benchmark.regression.examples import baseline
+from tests.benchmark.regression.examples import baseline, rows
 
 
 @pytest.mark.parametrize("name", shipped_baselines())
@@ -56,6 +64,7 @@ def test_a_broken_baseline_says_what_is_wrong(tmp_path, content, message):
 
 
 NUMBERS = {"tolerance_db": 0.05, "target_spp": 2.0, "psnr": 30.0}
+
 ENTRY = {"method": "ours", "scene": "city", "target_spp": 2.0, "psnr": 30.0}
 
 
@@ -88,12 +97,6 @@ def test_the_gate_has_no_tolerance_that_every_score_passes(number):
         replace(baseline(), tolerance_db=number)
     with pytest.raises(BaselineError, match="tolerance_db is .*; a finite number >= 0 is required"):
         baseline(tolerance_db=number)
-
-
-@pytest.mark.parametrize("number", [math.nan, math.inf, -0.1])
-def test_a_standard_error_is_a_finite_number(number):
-    with pytest.raises(BaselineError, match="stderr_db is .*; a finite number >= 0 is required"):
-        baseline(stderr_db=number)
 
 
 @pytest.mark.parametrize("psnr", [math.nan, math.inf, -math.inf])
@@ -130,6 +133,84 @@ def test_a_baseline_that_is_not_json_in_utf_8_is_refused(tmp_path, content):
         load_baseline(tmp_path / "b.json")
 
 
-def test_a_baseline_that_is_not_there_says_how_to_make_it(tmp_path):
-    with pytest.raises(BaselineError, match="--update --baseline .* makes one"):
-        load_baseline(tmp_path / "b.json")
+def test_an_entry_is_not_dropped_from_a_baseline_because_its_method_crashed(tmp_path):
+    update_baseline(to_dataframe(rows(30.0)), tmp_path / "b.json")
+    crashed = replace(rows(0.0)[0], frame=-1, value=math.nan, note="RuntimeError: ...")
+    with pytest.raises(BaselineError, match="no PSNR of ours on city at 2 spp"):
+        update_baseline(to_dataframe([crashed, *rows(12.0, method="mean")]), tmp_path / "b.json")
+
+
+def test_a_rewritten_baseline_equals_its_results(tmp_path):
+    table = to_dataframe(rows(30.123456) + rows(12.0, method="ntas"))
+    written = update_baseline(table, tmp_path / "b.json")
+    assert load_baseline(tmp_path / "b.json") == written
+    assert compare(table, written).text() == "passed: 2 same"
+
+
+def test_an_unsupported_budget_is_left_out_of_a_rewritten_baseline(tmp_path):
+    skipped = replace(rows(0.0, spp=0.5)[0], frame=-1, value=math.nan, note="supports 1 to 8 spp")
+    table = to_dataframe([*rows(31.0), skipped])
+    written = update_baseline(table, tmp_path / "b.json")
+    assert [entry.target_spp for entry in written.entries] == [2.0]
+    assert compare(table, written).has_passed
+
+
+def test_a_rewritten_baseline_is_of_the_smallest_seed_and_allows_what_seeds_vary_by(tmp_path):
+    seeds = [rows(30.0 + 0.02 * seed, seed=seed) for seed in (1, 2, 3)]
+    written = update_baseline(to_dataframe(sum(seeds, [])), tmp_path / "b.json")
+    (entry,) = written.entries
+    assert (written.seed, entry.psnr, entry.stderr_db, entry.frames) == (1, 30.02, 1.0, 2)
+    expected = scipy.stats.t(2).isf(FALSE_ALARMS) * 0.02 * math.sqrt(2) + 0.05
+    assert entry.tolerance_db == pytest.approx(expected, abs=5e-5)  # four decimals are kept
+    assert load_baseline(tmp_path / "b.json") == written
+
+
+def test_a_baseline_of_one_seed_keeps_the_tolerances_of_several(tmp_path):
+    seeds = rows(30.0) + rows(30.1, seed=1)
+    first = update_baseline(to_dataframe(seeds), tmp_path / "b.json")
+    again = update_baseline(to_dataframe(rows(31.0)), tmp_path / "b.json")
+    assert again.entries[0].tolerance_db == first.entries[0].tolerance_db > 0.05
+    assert again.entries[0].psnr == 31.0
+
+
+def test_one_method_of_a_baseline_is_rewritten_and_the_others_stay(tmp_path):
+    old = update_baseline(to_dataframe(rows(30.0) + rows(12.0, method="ntas")), tmp_path / "b.json")
+    table = to_dataframe(rows(31.0) + rows(9.0, method="ntas"))
+    new = update_baseline(table, tmp_path / "b.json", ["ours"])
+    assert new.entries == (old.entries[0], replace(old.entries[1], psnr=31.0))
+    with pytest.raises(BaselineError, match="seed 0, the results of mini and 1"):
+        update_baseline(to_dataframe(rows(31.0, seed=1)), tmp_path / "b.json", ["ours"])
+
+
+def test_speed_gates_stay_in_a_rewritten_baseline(tmp_path):
+    update_baseline(to_dataframe(rows(30.0)), tmp_path / "b.json")
+    content = json.loads((tmp_path / "b.json").read_text())
+    content["speed"] = ["ours / ours/latent <= 0.9"]
+    (tmp_path / "b.json").write_text(json.dumps(content))
+    assert update_baseline(to_dataframe(rows(31.0)), tmp_path / "b.json").speed == (
+        "ours / ours/latent <= 0.9",
+    )
+
+
+def test_reruns_without_a_change_fail_as_rarely_as_promised():
+    """300 baselines of four seeds, each with a rerun of another seed, for 4 methods x 4 scenes.
+
+    Scenes vary by a factor of 2, as on mini. Of 300 draws at 0.05, 27 or more are alarms with
+    probability 0.002 (binomial).
+    """
+    rng = np.random.default_rng(0)
+    keys = [ScoreKey(method, str(scene), 1.0) for method in "abcd" for scene in range(4)]
+    spreads = {key: 0.01 * (1 + int(key.scene) / 3) for key in keys}
+    alarms = 0
+    for _ in range(300):
+        draws = {key: rng.normal(30.0, spreads[key], 5) for key in keys}
+        by_seed = {key: draw[:4].tolist() for key, draw in draws.items()}
+        falls = allowed_falls(by_seed, 0.0, len(keys))
+        alarms += any(draws[key][0] - draws[key][4] > falls[key] for key in keys)
+    assert alarms < 27
+
+
+def test_a_cell_that_varies_more_than_its_method_is_allowed_more():
+    calm, wild = ScoreKey("a", "calm", 1.0), ScoreKey("a", "wild", 1.0)
+    falls = allowed_falls({calm: [20.0, 20.01, 19.99], wild: [20.0, 20.5, 19.5]}, 0.05, 2)
+    assert falls[wild] > falls[calm] > 0.05

@@ -2,22 +2,21 @@
 
 from __future__ import annotations
 
-import json
-
 import numpy as np
 import pytest
 from matplotlib.image import imread
 
 from rlbench import registry
 from rlbench.benchmark import results
+from rlbench.benchmark.cell_images import CellImages, KeptFrame, write_images
+from rlbench.benchmark.cell_key import CellId, CellKey
 from rlbench.benchmark.clip_sources import StoredSource
-from rlbench.benchmark.frame_images import frame_at, method_image
+from rlbench.benchmark.frame_images import ImagesError, frame_at, method_image
 from rlbench.benchmark.regression.baseline import ScoreKey
 from rlbench.benchmark.regression.comparison import BaselineDiff
-from rlbench.benchmark.regression.crops import SCALE, SIDE, CropsError, select_tile, write_crops
+from rlbench.benchmark.regression.crops import SCALE, SIDE, select_tile, write_crops
 from rlbench.benchmark.run_plan import RunPlan
 from rlbench.benchmark.runner import measure
-from rlbench.clips.exr import write_exr
 from rlbench.clips.stored import open_clip
 from rlbench.run import run_clip
 from tests.conftest import write_noise
@@ -38,11 +37,10 @@ def table(clip, tmp_path):
 
 def keep(folder, index, image):
     """Store an image of the cell as `rlbench run --keep-images` does."""
-    key = {"method": "mean", "clip": "foyer", "target_spp": 1.0, "seed": 0}
     planes = np.moveaxis(np.asarray(image, np.float16), -1, 0)
-    cell = folder / "images" / "mean foyer"
-    write_exr(cell / f"{index:04}.exr", dict(zip("RGB", planes, strict=True)))
-    (cell / "cell.json").write_text(json.dumps({"key": key}))
+    frames = [KeptFrame(planes, np.ones_like(planes[0]))] * (index + 1)
+    cell = CellId(CellKey("mean", "foyer", 1.0, 0, "cpu"), "content")
+    write_images(folder, cell, CellImages("path", "digest", 8, frames))
 
 
 def pixels(file):
@@ -99,11 +97,11 @@ def test_stored_images_are_shown_and_cut_where_the_error_rose(clip, table, tmp_p
 
 
 def test_without_its_clip_or_weights_a_frame_has_no_crops(clip, table, tmp_path):
-    with pytest.raises(CropsError, match="clip foyer is not here. Name its folder by --clips"):
+    with pytest.raises(ImagesError, match="clip foyer is not here. Name its folder by --clips"):
         write_crops(DIFF, table, 0, [], tmp_path / "r", tmp_path / "crops")
     labelled = table.assign(method="mean@seed3")
     diff = BaselineDiff(ScoreKey("mean@seed3", "foyer", 1.0), "worse", 30.0, 10.0, 0.05)
-    with pytest.raises(CropsError, match="Store its images: rlbench run --keep-images"):
+    with pytest.raises(ImagesError, match="Store its images: rlbench run --keep-images"):
         write_crops(diff, labelled, 0, [clip], tmp_path / "r", tmp_path / "crops")
     assert not (tmp_path / "crops").exists()
 

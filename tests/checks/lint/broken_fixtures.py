@@ -108,6 +108,12 @@ def ray_length(arrays: ClipArrays) -> torch.Tensor:
     return (1 + x.square() + y.square()).sqrt()
 
 
+def still_sky(arrays: ClipArrays) -> ClipArrays:
+    """As Cycles writes it: no motion where nothing is hit."""
+    motion = arrays.gbuffer["motion"].where(arrays.gbuffer["depth"].isfinite(), 0.0)
+    return replace(arrays, gbuffer={**arrays.gbuffer, "motion": motion})
+
+
 def distance_to_camera(arrays: ClipArrays) -> ClipArrays:
     return change_buffer("depth", lambda d: d * ray_length(arrays))(arrays)
 
@@ -222,6 +228,7 @@ FAULTS: dict[str, tuple[str, Fault]] = {  # fault: the check that must fail, and
     "motion is doubled": ("motion", scale_motion(2, 2)),
     "motion points to the next frame": ("motion", motion_to_next_frame),
     "motion is zero": ("motion", scale_motion(0, 0)),
+    "the sky does not move": ("sky motion", still_sky),
     "a moving clip is declared static": ("motion", change_header(static=True)),
     "depth is the distance to the camera": ("depth", distance_to_camera),
     "depth is normalised": ("depth", normalised_depth),

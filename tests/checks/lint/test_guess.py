@@ -5,20 +5,30 @@ from __future__ import annotations
 import shutil
 
 import numpy as np
+import OpenEXR
 import pytest
 from typer.testing import CliRunner
 
 from rlbench.checks.lint.checks import lint_clip
-from rlbench.checks.lint.dump_arrays import import_arrays
-from rlbench.checks.lint.guess import format_guess, guess_layout
-from rlbench.checks.lint.recognize import recognize_layout
-from rlbench.checks.lint.samples import check_brightness
+from rlbench.checks.lint.clip_arrays import import_arrays
+from rlbench.checks.lint.dump_names import list_unclaimed
+from rlbench.checks.lint.guess import format_guess, guess_layout, recognize_layout
+from rlbench.checks.lint.radiance import check_brightness
 from rlbench.checks.result import Verdict
 from rlbench.cli.app import app
-from rlbench.clips.importers.layout import read_layout
+from rlbench.clips.importers.layout import decode_layout, read_layout
 from rlbench.clips.importers.sequence import SourceError
 from tests.checks.lint.broken_fixtures import correct_clip
-from tests.clips.importers.dumps import WRITERS, write_falcor, write_own, write_unreal
+from tests.checks.lint.renderers import RENDERERS, SAMPLES, write_renderer
+from tests.clips.importers.dumps import (
+    WRITERS,
+    planes,
+    write_blender,
+    write_falcor,
+    write_file,
+    write_own,
+    write_unreal,
+)
 
 
 @pytest.fixture(scope="module")
@@ -70,6 +80,65 @@ def test_the_written_file_imports_what_was_dumped(own, small):
     np.testing.assert_allclose(found.gbuffer["motion"], small.gbuffer["motion"], atol=1e-3)
 
 
+UNREAD = {  # what a renderer writes beside the images that are read
+    "Arnold": ["A"],
+    "RenderMan": ["a", "dPcameradtime.x"],
+    "V-Ray": ["A"],
+    "Karma": [],
+    "Redshift": ["A"],
+    "Unreal": ["ActorHitProxyMask.R"],
+    "Blender": ["Composite.Combined.B", "Layer.Denoising Normal.X"],
+}
+LACKS = {
+    "RenderMan": {"motion"},
+    "Redshift": {"normal"},
+    "Unreal": {"albedo"},
+}
+
+
+@pytest.mark.parametrize("name", RENDERERS)
+def test_a_guess_for_a_renderer_imports_without_an_edit(name, small, tmp_path):
+    write_renderer(name, small, tmp_path / "dump")
+    guess = guess_layout(tmp_path / "dump")
+    (tmp_path / "engine.toml").write_text(format_guess(guess))
+    layout = read_layout(str(tmp_path / "engine.toml"))
+    found = import_arrays(tmp_path / "dump", layout)
+    assert set(found.gbuffer) == set(small.gbuffer) - LACKS.get(name, set())
+    assert found.pools["path"].shape[:2] == (3, SAMPLES)
+    for buffer, image in found.gbuffer.items():
+        # half precision, of what was dumped; motion in pixels
+        expected = small.gbuffer[buffer]
+        if (name, buffer) == ("Unreal", "motion"):  # 1 / 2048 of a share is hidden by an offset
+            np.testing.assert_allclose(image, expected, atol=0.02)
+        else:
+            np.testing.assert_allclose(image, expected, atol=2e-3, rtol=2e-3)
+    np.testing.assert_allclose(found.half_a, small.half_a, rtol=1e-6)
+    unread = list_unclaimed(tmp_path / "dump", layout)
+    assert [line.partition(" (")[0].split(",")[0] for line in unread] == UNREAD[name]
+
+
+@pytest.mark.parametrize("kind", ["separate", "accumulated"])
+def test_images_that_count_spp_are_samples_or_their_means_as_their_noise_shows(
+    kind, small, tmp_path
+):
+    for t in range(len(small)):
+        first, second = small.pools["path"][t, :2]
+        images = {
+            "frame_{:04d}.spp1.exr": first,
+            "frame_{:04d}.spp2.exr": second if kind == "separate" else (first + second) / 2,
+            "reference_{:04d}.exr": small.half_a[t],
+        }
+        for name, image in images.items():
+            write_file(tmp_path / "dump" / name.format(t), {"": planes(image, "RGB", kind="f4")})
+    guess = guess_layout(tmp_path / "dump")
+    placeholder = {"separate": "{sample}", "accumulated": "{spp}"}[kind]
+    assert guess.tables["radiance"]["files"] == f"frame_{{frame}}.spp{placeholder}.exr"
+    assert "%" not in guess.reasons["radiance"]
+    found = import_arrays(tmp_path / "dump", decode_layout(guess.tables, "guess"))
+    # twice a mean minus the first sample, in single precision
+    np.testing.assert_allclose(found.pools["path"], small.pools["path"][:, :2], atol=1e-5)
+
+
 @pytest.mark.slow
 def test_a_guess_for_unreal_passes_the_linter(small, tmp_path):
     write_unreal(small, tmp_path / "dump")
@@ -118,3 +187,63 @@ def test_the_command_does_not_overwrite_a_layout(own, tmp_path):
     assert result.exit_code == 2
     assert "mine.toml exists; name another file" in result.output
     assert (tmp_path / "mine.toml").read_text() == "kept"
+
+
+def test_world_normals_win_over_those_in_camera_space(small, tmp_path):
+    write_blender(small, tmp_path / "dump")
+    for path in (tmp_path / "dump").rglob("*.exr"):
+        with OpenEXR.File(str(path), separate_channels=True) as file:
+            stored = {name: channel.pixels for name, channel in file.channels().items()}
+        camera = {f"ViewLayer.Denoising Normal.{c}": stored["ViewLayer.Normal.X"] for c in "XYZ"}
+        composite = {f"Composite.Combined.{c}": stored["ViewLayer.Depth.Z"] for c in "RGB"}
+        write_file(path, {"": stored | camera | composite})
+    tables = guess_layout(tmp_path / "dump").tables
+    assert tables["normal"]["channels"] == [f"ViewLayer.Normal.{c}" for c in "XYZ"]
+    assert tables["radiance"]["channels"] == [f"ViewLayer.Combined.{c}" for c in "RGB"]
+    assert recognize_layout(tmp_path / "dump") == "blender"
+
+
+# Alpha
+
+
+def write_alpha(folder, *, is_straight: bool, sky: float) -> None:
+    """A disk that moves before a sky of alpha 0, with partial alpha at its edge."""
+    h, w = 48, 64
+    y, x = np.mgrid[:h, :w]
+    noise = np.random.default_rng(0)
+    for frame in range(2):
+        distance = np.hypot(x - 30 - frame, y - 24)
+        alpha = np.clip(15 - distance, 0, 1)  # one pixel wide
+        surface = 0.4 + 0.1 * np.sin(x / 5)
+        light = alpha * surface + (1 - alpha) * sky
+        light = (
+            np.divide(light, alpha, where=alpha > 0, out=np.zeros((h, w))) if is_straight else light
+        )
+        kinds = {"reference": light} | {
+            f"sample{s}": light * noise.uniform(0.5, 1.5, (h, w)) for s in (0, 1)
+        }
+        for kind, image in kinds.items():
+            planes = {c: image.astype(np.float32) for c in "RGB"} | {"A": alpha.astype(np.float32)}
+            write_file(folder / kind / f"beauty.{frame}.exr", {"": planes})
+
+
+@pytest.mark.parametrize(
+    ("is_straight", "sky", "found"),
+    [(True, 0.0, True), (False, 0.0, False), (False, 0.3, False), (False, 4.0, False)],
+)
+def test_colours_that_are_not_multiplied_by_alpha_are_recognised(tmp_path, is_straight, sky, found):
+    write_alpha(tmp_path / "dump", is_straight=is_straight, sky=sky)
+    guess = guess_layout(tmp_path / "dump")
+    assert ("alpha" in guess.tables["reference"], "alpha" in guess.tables["radiance"]) == (
+        found,
+    ) * 2
+    assert ("have colour at alpha 0, which is kept" in guess.reasons["reference"]) == (sky > 0)
+    (tmp_path / "guess.toml").write_text(format_guess(guess))
+    arrays = import_arrays(tmp_path / "dump", read_layout(str(tmp_path / "guess.toml")))
+    write_alpha(tmp_path / "expected", is_straight=False, sky=sky)
+    (tmp_path / "plain.toml").write_text(
+        '[radiance]\nfiles = "sample{sample}/*{frame}.exr"\n'
+        '[reference]\nfiles = "reference/*{frame}.exr"'
+    )
+    expected = import_arrays(tmp_path / "expected", read_layout(str(tmp_path / "plain.toml")))
+    np.testing.assert_allclose(arrays.half_a, expected.half_a, rtol=1e-5, atol=1e-7)

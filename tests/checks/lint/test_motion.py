@@ -1,4 +1,4 @@
-"""The motion check."""
+"""The motion check and its conventions."""
 
 from __future__ import annotations
 
@@ -9,8 +9,10 @@ import torch
 
 from rlbench.checks.lint.checks import lint_clip
 from rlbench.checks.lint.clip_arrays import ClipArrays, read_clip_arrays
-from rlbench.checks.lint.motion import check_motion
+from rlbench.checks.lint.jitter import find_jitter_fault, frame_disagreements
+from rlbench.checks.lint.motion import FORMAT_V1, MotionConvention, all_conventions, check_motion
 from rlbench.checks.result import Verdict
+from rlbench.clips.importers.jitter import halton_offset
 from tests.checks.lint.broken_fixtures import correct_clip, store
 
 
@@ -90,3 +92,68 @@ def test_an_object_before_empty_background_is_compared_alone():
     header = replace(correct_clip(frames=1).header, frames=frames, reference_spp=(1,) * frames)
     found = check_motion(ClipArrays(header, gbuffer, {}, light, light))
     assert found.verdict is Verdict.PASSED, found.found
+
+
+def test_conventions_are_every_combination_once():
+    assert len(set(map(str, all_conventions()))) == len(all_conventions()) == 2 * 4 * 5 * 2
+
+
+def test_a_convention_converts_stored_motion_to_pixels():
+    stored = torch.tensor([0.5, -0.25]).view(1, 2, 1, 1).expand(1, 2, 10, 20)
+    found = MotionConvention(True, (-1, 1), "NDC (-1..1)").to_pixels(stored)
+    # y first: x is -0.25, of the other sign 0.25, times half of 20; y is 0.5 times half of 10
+    torch.testing.assert_close(found[0, :, 0, 0], torch.tensor([2.5, 2.5]))
+    torch.testing.assert_close(FORMAT_V1.to_pixels(stored), stored)
+
+
+# Camera jitter
+
+
+OFFSETS = torch.tensor([halton_offset(index) for index in range(4)])
+
+
+def contain_jitter(arrays: ClipArrays, sign: int = 1) -> ClipArrays:
+    """Motion plus the change of the jitter, as a jittered camera's matrices give it."""
+    change = torch.cat([torch.zeros(1, 2), OFFSETS[1:] - OFFSETS[:-1]]).view(4, 2, 1, 1)
+    motion = arrays.gbuffer["motion"] + sign * change
+    return replace(arrays, gbuffer={**arrays.gbuffer, "motion": motion})
+
+
+def declare_jitter(arrays: ClipArrays, *limitations: str) -> ClipArrays:
+    offsets = tuple((float(x), float(y)) for x, y in OFFSETS)
+    return replace(arrays, header=replace(arrays.header, jitter=offsets, limitations=limitations))
+
+
+def test_the_disagreement_of_jittered_motion_is_the_change_of_the_jitter(arrays):
+    found, spreads = frame_disagreements(contain_jitter(arrays), [1, 2, 3])
+    # pixels; noise and interpolation between pixels, 0.12 at most on three clips
+    torch.testing.assert_close(found, OFFSETS[:-1] - OFFSETS[1:], atol=0.15, rtol=0)
+    assert float(spreads.max()) < 0.2
+
+
+@pytest.mark.parametrize("is_declared", [False, True])
+def test_motion_that_contains_the_jitter_fails(arrays, is_declared):
+    faulty = contain_jitter(arrays)
+    found = check_motion(declare_jitter(faulty) if is_declared else faulty)
+    assert found.verdict is Verdict.FAILED
+    assert "motion seems to contain the jitter" in found.found
+
+
+@pytest.mark.parametrize("is_declared", [False, True])
+def test_motion_without_the_jitter_passes(arrays, is_declared):
+    found = check_motion(declare_jitter(arrays) if is_declared else arrays)
+    assert found.verdict is Verdict.PASSED, found.found
+
+
+def test_a_jittered_reference_is_told_from_jittered_motion(arrays):
+    # motion that lacks the change of the jitter, as where all images are moved by it
+    moved = declare_jitter(contain_jitter(arrays, -1))
+    assert "[reference] jittered = true" in check_motion(moved).found
+    assert find_jitter_fault(declare_jitter(contain_jitter(arrays, -1), "reference jitter")) == ""
+    # all images are moved, and motion with them
+    assert "motion seems" in find_jitter_fault(declare_jitter(arrays, "reference jitter"))
+
+
+def test_the_same_shift_in_all_frames_is_no_jitter(arrays):
+    shifted = {**arrays.gbuffer, "motion": arrays.gbuffer["motion"] + 0.5}
+    assert find_jitter_fault(replace(arrays, gbuffer=shifted)) == ""

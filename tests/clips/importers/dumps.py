@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from pathlib import Path
 
 import numpy as np
+import numpy.typing as npt
 import OpenEXR
 import torch
 
@@ -33,7 +34,9 @@ def write_file(path: Path, parts: dict[str, Planes]) -> None:
         OpenEXR.File(made).write(str(path))
 
 
-def planes(image: torch.Tensor, names: str, prefix: str = "", kind: type = np.float16) -> Planes:
+def planes(
+    image: torch.Tensor, names: Iterable[str], prefix: str = "", kind: npt.DTypeLike = np.float16
+) -> Planes:
     """The channels of an image [c h w]."""
     return {
         f"{prefix}{name}": plane.astype(kind)

@@ -5,6 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 import numpy as np
+import OpenEXR
 import pytest
 import torch
 
@@ -15,7 +16,13 @@ from rlbench.clips.importers import formats, writer
 from rlbench.clips.importers.layout import ready_layouts
 from rlbench.clips.importers.sequence import SourceError
 from tests.checks.lint.broken_fixtures import correct_clip
-from tests.clips.importers.dumps import WRITERS, write_blender, write_falcor, write_own
+from tests.clips.importers.dumps import (
+    WRITERS,
+    write_blender,
+    write_falcor,
+    write_file,
+    write_own,
+)
 
 HALF = {"rtol": 2e-3, "atol": 2e-3}  # two roundings to half precision, of the dump and of the clip
 MOTION = {"rtol": 1e-4, "atol": 1e-4}  # pixels: stored as shares of the image in single precision
@@ -141,3 +148,49 @@ def test_a_channel_that_matches_twice_is_an_error(arrays, tmp_path):
     (tmp_path / "own.toml").write_text(text)
     with pytest.raises(SourceError, match=r"'\*.X' matches several channels: ViewLayer.Normal.X"):
         formats.find_sequences(tmp_path / "dump", str(tmp_path / "own.toml"))
+
+
+# Blender's recipe
+
+
+def blender_recipe(arrays: ClipArrays, folder: Path) -> Path:
+    """Samples from 1, without depth; buffers in a folder of their own; several layers."""
+    write_blender(arrays, folder)
+    (folder / "sample0").rename(folder / "geometry")
+    for path in folder.glob("sample*/*.exr"):
+        with OpenEXR.File(str(path), separate_channels=True) as file:
+            stored = {name: channel.pixels for name, channel in file.channels().items()}
+        view = {name: plane for name, plane in stored.items() if "Combined" in name}
+        view["ViewLayer.Depth.Z"] = np.zeros_like(stored["ViewLayer.Depth.Z"])
+        layers = {
+            name.replace("ViewLayer", layer): np.ascontiguousarray(plane * factor)
+            for name, plane in view.items()
+            for layer, factor in (("ViewLayer", 1), ("Composite", 0.5), ("Other", 2))
+        }
+        write_file(path, {"": layers})
+    return folder
+
+
+def test_blenders_recipe_reads_buffers_from_geometry_and_samples_from_one_layer(arrays, tmp_path):
+    dump = blender_recipe(arrays, tmp_path / "dump")
+    with pytest.raises(SourceError, match="several channels: Other.Combined.R, ViewLayer"):
+        formats.find_sequences(dump, "blender")
+    (sequence,) = formats.find_sequences(dump, "blender", layer="ViewLayer")
+    assert sequence.counts == (7, 7, 7)
+    frame = sequence.read(2, 7)
+    expected = arrays.pools["path"][1, 1:].movedim(1, -1)
+    np.testing.assert_allclose(frame.pool, expected, **HALF)
+    depth = arrays.gbuffer["depth"][1].movedim(0, -1)
+    np.testing.assert_allclose(frame.gbuffer["depth"], depth, **HALF)
+    (other,) = formats.find_sequences(dump, "blender", layer="Other")
+    np.testing.assert_allclose(other.read(2, 7).pool, 2 * expected, **HALF)
+
+
+def test_a_part_that_one_frame_of_many_lacks_is_named(arrays, tmp_path):
+    layout = write_own(arrays, tmp_path / "dump")
+    path = tmp_path / "dump" / "1" / "all.exr"
+    with OpenEXR.File(str(path), separate_channels=True) as file:
+        parts = {p.name(): {n: c.pixels for n, c in p.channels.items()} for p in file.parts}
+    write_file(path, {name: planes for name, planes in parts.items() if name != "converged"})
+    with pytest.raises(SourceError, match="1/all.exr: .* in the part 'converged'; it has: emiss"):
+        formats.find_sequences(tmp_path / "dump", str(layout))

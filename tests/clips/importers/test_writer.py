@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import errno
-import math
 from dataclasses import replace
 
 import numpy as np
@@ -179,16 +178,6 @@ def test_a_rendered_clip_is_not_overwritten(source, clip_folder):
     clip_folder.rename(clip_folder.with_name("walk"))
     words = ("import", source, "--format", "oidn", "--out", clip_folder.parent)
     assert "holds a clip from elsewhere" in rlbench(*words, code=2)
-
-
-def test_an_image_that_is_not_finite_is_not_imported(tmp_path):
-    source = write_oidn(tmp_path / "source")
-    image = radiance(1, 0)
-    image[2, 3, 1] = math.nan
-    exr(source / "walk_0001_seed0_0001spp.hdr.exr", image)
-    (sequence,) = formats.find_sequences(source, "oidn")
-    with pytest.raises(ClipError, match=r"frame 1: 1 values of pool\.path are not finite"):
-        writer.write_clip(sequence, writer.clip_header(sequence, None), tmp_path / "out")
 
 
 def test_fireflies_are_not_clipped(tmp_path):

@@ -11,12 +11,10 @@ import torch
 
 import rlbench
 from rlbench import registry
-from rlbench.benchmark.cell_loader import CellLoader
 from rlbench.benchmark.clip_sources import StoredSource, open_source
 from rlbench.benchmark.cost import FULL_FRAME
-from rlbench.benchmark.resolve import resolve_cells
-from rlbench.benchmark.run_plan import RunPlan
-from rlbench.benchmark.scatter import ScatterMeter
+from rlbench.benchmark.run_plan import CellLoader, RunPlan, list_cells
+from rlbench.benchmark.timing import ScatterMeter
 from rlbench.clips.exr import channel_dtype
 from rlbench.clips.stored import ClipError, open_clip, read_header
 from rlbench.family import Traits
@@ -327,7 +325,7 @@ def folder(llvm, tmp_path, monkeypatch):
 
 def cell(folder, method):
     plan = RunPlan((method,), (StoredSource(folder),), (2.0,))
-    (only,) = resolve_cells(plan)
+    (only,) = list_cells(plan)
     return ScatterMeter(CellLoader(plan)), only
 
 

@@ -5,8 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from reports.analysis.places import KINDS, classify
-from reports.error_places import error_shares
+from reports.error_places import KINDS, classify, error_shares
 
 SIZE = (8, 10)
 

@@ -5,9 +5,8 @@ from __future__ import annotations
 import pytest
 
 from reports.site import build_pages, preset_scores
-from rlbench.benchmark.regression.baseline import find_baseline, load_baseline
-from rlbench.benchmark.regression.table import to_table
-from rlbench.benchmark.site_facts import SceneFacts, TakeFacts, method_facts
+from rlbench.benchmark.listing import SceneFacts, TakeFacts, method_facts
+from rlbench.benchmark.regression.baseline import find_baseline, load_baseline, to_table
 
 
 @pytest.fixture(scope="session")

@@ -9,8 +9,8 @@ import re
 import pytest
 
 from reports.site import build_pages, preset_scores
-from reports.site.leaderboard import VIEWER
-from reports.site.method_page import paper_links
+from reports.site.build import VIEWER
+from reports.site.pages import paper_links
 from rlbench import registry
 from rlbench.benchmark.results import to_dataframe
 from tests.reports.conftest import METHODS, rows
@@ -44,18 +44,13 @@ def test_scores_of_a_method_are_those_of_the_baseline(site, baseline):
     assert f"| {better + 1}\u00a0of\u00a0{len(others)} |" in line
 
 
-def test_a_card_is_on_the_page_of_its_weights(site, methods):
+def test_a_page_has_the_card_of_its_weights_or_how_to_train_them(site, methods):
     (ours,) = [method for method in methods if method.name == "ours"]
     page = site[0]["methods/ours/index.md"]
     assert f"`{ours.card.sha256[:16]}`" in page
     assert f"{ours.card.parameters:,} values" in page
-
-
-def test_a_row_without_weights_says_how_to_train_them(site):
-    assert (
-        "`rlbench train -m ours/latent-reinforce` makes them"
-        in site[0]["methods/ours/latent-reinforce.md"]
-    )
+    untrained = site[0]["methods/ours/latent-reinforce.md"]
+    assert "`rlbench train -m ours/latent-reinforce` makes them" in untrained
 
 
 def test_a_picture_is_on_the_pages_of_the_methods_that_it_shows(site):

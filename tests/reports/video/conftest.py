@@ -11,9 +11,8 @@ import pytest
 import rlbench
 from rlbench.benchmark.cell_images import list_images
 from rlbench.benchmark.clip_sources import open_source
-from rlbench.benchmark.display_clips import DisplayClip, display_clips
 from rlbench.benchmark.results import read
-from rlbench.benchmark.shown_clips import find_shown_clips
+from rlbench.benchmark.shown_clips import DisplayClip, display_clips, find_shown_clips
 from tests.procedural_folder import write_world
 
 SIDE, FRAMES = 32, 4

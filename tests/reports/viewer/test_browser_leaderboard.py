@@ -9,7 +9,7 @@ import threading
 import pytest
 
 from reports.site import build_pages, preset_scores
-from rlbench.benchmark.site_facts import method_facts
+from rlbench.benchmark.listing import method_facts
 
 
 @pytest.fixture

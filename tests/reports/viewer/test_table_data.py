@@ -4,14 +4,13 @@ from __future__ import annotations
 
 import numpy as np
 
-from reports.viewer.decision_data import ALL_SCENES, decision_data, student_factors
-from reports.viewer.table_data import frame_scores, provenance
+from reports.viewer.data import decision_data, frame_scores, provenance, student_factors
 
 
 def test_each_scene_has_curves_over_its_clips(results):
     psnr = decision_data(results, "")[0]
     assert [scope["name"] for scope in psnr["scopes"]] == [
-        ALL_SCENES, "city", "hall", "ripples", "temple",
+        "mean over scenes", "city", "hall", "ripples", "temple",
     ]  # fmt: skip
     assert [scope["unit"] for scope in psnr["scopes"][:2]] == ["scenes", "clips"]
     assert np.shape(psnr["scopes"][0]["curves"][0]["units"]) == (5, 4)

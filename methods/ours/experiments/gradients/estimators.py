@@ -1,7 +1,8 @@
-"""Gradient estimators under test: the suite's learners, and two textbook ones beside them."""
+"""Gradient estimators, measured: the suite's learners, and two textbook ones beside them."""
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 
@@ -9,31 +10,47 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from methods.ours.experiments.gradients.problem import make_problem, tile_parameters
-from methods.ours.experiments.gradients.truth import relaxed_error, true_gradient
-from methods.ours.experiments.known_optimum import Mode, ToyProblem
+from methods.ours.experiments.compare_learners import blocks_of_reach, reinforce
+from methods.ours.experiments.gradients.exact_gradient import (
+    DENOISERS,
+    make_problem,
+    relaxed_error,
+    tile_parameters,
+    true_gradient,
+)
+from methods.ours.experiments.toy_problem import Mode, ToyProblem
 from methods.ours.policy import (
     AllocationProblem,
     BlockPolicyGradient,
-    BlockReinforce,
     CombinedLearner,
     SamplerLearner,
     StochasticLearner,
     SurrogateLearner,
+    gamma_gradient_per_sample,
 )
-from methods.ours.policy.gamma_gradient import gamma_gradient_per_sample
-from methods.ours.policy.surrogate_gradient import kuznetsov_gradient_per_sample
+from methods.ours.policy.sample_gradients import kuznetsov_gradient_per_sample
 from rlbench.training.surrogate_gradient import SampleGradient, kuznetsov_gradient
 
-__all__ = ["ESTIMATORS", "Estimator", "ScoreFunction"]
+__all__ = [
+    "ESTIMATORS",
+    "Estimator",
+    "GradientStatistics",
+    "Interval",
+    "Measurement",
+    "ScoreFunction",
+    "measure",
+]
 
 BATCH = 32  # images of one backward pass
 SMALLER_BLOCKS = "use smaller blocks, at the price of more noise"
+Z95 = 1.96  # standard errors of a 95 % interval
+MIN_SIGNAL_SHARE = 0.5  # of the squared mean gradient; below it the mean is mostly noise
+MAX_COSINE_MARGIN = 0.15  # half width of an interval that still says something
 LOCAL = BlockPolicyGradient(block=1, margin=0)  # an action per pixel
 
 
 @dataclass(frozen=True)
-class ScoreFunction:
+class ScoreFunction(SamplerLearner):
     """The textbook estimator (Williams 1992): one reward for the image, credited to every pixel.
 
     Unbiased for the expected error of the noisy action. `baseline` subtracts the mean error of the
@@ -42,8 +59,6 @@ class ScoreFunction:
 
     baseline: bool
     policy: BlockPolicyGradient = LOCAL
-    min_samples: int = 0
-    network: None = None
 
     def loss(self, problem: AllocationProblem, generator: torch.Generator) -> Float[Tensor, ""]:
         """Mean over draws of error times log-probability of the action."""
@@ -58,12 +73,8 @@ class ScoreFunction:
         return loss
 
 
-@dataclass(frozen=True)
-class RelaxedTruth:
+class RelaxedTruth(SamplerLearner):
     """The gradient of the expected error as if counts were real numbers; without noise."""
-
-    min_samples: int = 0
-    network: None = None
 
     def loss(self, problem: AllocationProblem, generator: torch.Generator) -> Float[Tensor, ""]:
         """The relaxed error, mean over images."""
@@ -73,12 +84,10 @@ class RelaxedTruth:
 
 
 @dataclass(frozen=True)
-class ExploredTruth:
+class ExploredTruth(SamplerLearner):
     """The exact gradient at noisy actions: what a policy of this noise can learn at best."""
 
     policy: BlockPolicyGradient = LOCAL
-    min_samples: int = 0
-    network: None = None
 
     def loss(self, problem: AllocationProblem, generator: torch.Generator) -> Float[Tensor, ""]:
         """A loss whose gradient is the exact one at an action around the mean."""
@@ -118,16 +127,9 @@ class Estimator:
         return torch.cat(rows)[:draws]
 
 
-def reinforce(denoiser: Mode, price_weight: float = 1.0) -> BlockReinforce:
-    """REINFORCE with blocks as large as the reach of a sample, as in compare_learners."""
-    side = max(1, 2 * denoiser.reach)
-    policy = BlockPolicyGradient(block=side, margin=denoiser.reach, price_weight=price_weight)
-    return BlockReinforce(policy)
-
-
 def stochastic(denoiser: Mode, block: int | None = None) -> StochasticLearner:
     """Differences over the next sample at their own length, with the blocks of `reinforce`."""
-    side = block or max(1, 2 * denoiser.reach)
+    side = block or blocks_of_reach(denoiser)
     return StochasticLearner(side, denoiser.reach, is_standardized=False)
 
 
@@ -161,3 +163,117 @@ ESTIMATORS: Mapping[str, Estimator] = {
     "score function": _not_for_training(lambda denoiser: ScoreFunction(baseline=True)),
     "score function, no baseline": _not_for_training(lambda d: ScoreFunction(baseline=False)),
 }
+
+
+@dataclass(frozen=True)
+class Interval:
+    """An estimate and half the width of its 95 % confidence interval."""
+
+    value: float
+    margin: float
+
+    def __str__(self) -> str:
+        """`value ± margin`, two digits behind the point."""
+        return f"{self.value:.2f} ± {self.margin:.2f}"
+
+
+@dataclass(frozen=True)
+class GradientStatistics:
+    """What independent draws say about their expectation; the noise of the mean is removed.
+
+    A common factor on all gradients changes `scale` and `bias` alone, and Adam divides it out. The
+    cosine is the share of the steepest descent that a step of the same length along the expectation
+    achieves.
+    """
+
+    scale: Interval  # component of the expectation along the truth, as a multiple of it; ideal 1
+    cosine: Interval  # of expectation and truth; ideal 1; nan where noise hides the expectation
+    bias: Interval  # |expectation - truth| / |truth|; ideal 0
+    noise: float  # standard deviation of one draw / |component along the truth|
+    is_resolved: bool  # is the direction of the expectation known, or hidden by noise?
+
+    @property
+    def frames_needed(self) -> float:
+        """Draws whose mean has as much noise as signal: the square of `noise`."""
+        return self.noise**2
+
+    @classmethod
+    def of_draws(
+        cls, draws: Float[Tensor, "d p"], truth: Float[Tensor, " p"]
+    ) -> GradientStatistics:
+        """Statistics of at least two draws; intervals by the jackknife."""
+        size = truth.norm()
+        units = draws.double() / size  # the truth has length 1
+        moments = _Moments.of(units, units @ (truth.double() / size))
+        scale, squared = float(moments.along), float(moments.squared)
+        noise, cosine = math.sqrt(float(units.var(0).sum())), _jackknife(moments, _cosine)
+        has_signal = squared > MIN_SIGNAL_SHARE * float(units.mean(0).square().sum())
+        return cls(
+            scale=_jackknife(moments, lambda m: m.along),
+            cosine=Interval(min(max(cosine.value, -1.0), 1.0), cosine.margin),  # nan stays
+            bias=_jackknife(moments, _bias),
+            noise=noise / abs(scale) if scale else math.inf,
+            is_resolved=has_signal and cosine.margin <= MAX_COSINE_MARGIN,
+        )
+
+
+@dataclass(frozen=True)
+class _Moments:
+    """Component along the truth and squared length of the expectation, both unbiased."""
+
+    along: Tensor
+    squared: Tensor
+    without_one: tuple[Tensor, Tensor]  # the same [d], with one of the draws left out
+
+    @classmethod
+    def of(cls, units: Tensor, along: Tensor) -> _Moments:
+        count, total = len(units), units.sum(0)
+        lengths = units.square().sum(1)
+        # sum over pairs i != j of g_i * g_j is unbiased for the squared length of the expectation
+        pairs = total.square().sum() - lengths.sum()
+        pairs_without = pairs - 2 * (units @ total - lengths)
+        return cls(
+            along.mean(),
+            pairs / (count * (count - 1)),
+            (
+                (along.sum() - along) / (count - 1),
+                pairs_without / ((count - 1) * max(count - 2, 1)),
+            ),
+        )
+
+
+def _cosine(moments: _Moments) -> Tensor:
+    return moments.along / moments.squared.sqrt()  # outside [-1, 1] by noise; nan below 0
+
+
+def _bias(moments: _Moments) -> Tensor:
+    return (moments.squared - 2 * moments.along + 1).clamp_min(0).sqrt()
+
+
+def _jackknife(moments: _Moments, statistic: Callable[[_Moments], Tensor]) -> Interval:
+    along, squared = moments.without_one
+    values = statistic(_Moments(along, squared, moments.without_one))
+    count = len(values)
+    error = math.sqrt((count - 1) * float(values.var(correction=0)))
+    return Interval(float(statistic(moments)), Z95 * error)
+
+
+@dataclass(frozen=True)
+class Measurement:
+    """Statistics of an estimator at one budget."""
+
+    estimator: str
+    denoiser: str  # one of DENOISERS
+    spp: float
+    draws: int
+    statistics: GradientStatistics
+
+
+def measure(
+    name: str, denoiser: str, spp: float, draws: int, estimator: Estimator | None = None
+) -> Measurement:
+    """Draw gradients and compare them with the truth; `estimator` is by default that of `name`."""
+    mode = DENOISERS[denoiser]
+    drawn = (estimator or ESTIMATORS[name]).draw(mode, spp, draws)
+    truth = true_gradient(make_problem(mode, spp, 1, torch.Generator().manual_seed(0)))
+    return Measurement(name, denoiser, spp, draws, GradientStatistics.of_draws(drawn, truth))

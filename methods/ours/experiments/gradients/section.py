@@ -5,11 +5,15 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from typing import NamedTuple
 
-from methods.ours.experiments.gradients.estimators import ESTIMATORS, Estimator
-from methods.ours.experiments.gradients.measurement import Measurement, measure
-from methods.ours.experiments.gradients.problem import DENOISERS
-from methods.ours.experiments.gradients.ratio_saturation import (
-    RATIOS,
+from methods.ours.experiments.gradients.estimators import (
+    ESTIMATORS,
+    Estimator,
+    Measurement,
+    measure,
+)
+from methods.ours.experiments.gradients.exact_gradient import DENOISERS
+from methods.ours.experiments.gradients.measure import (
+    RATIO_KINDS,
     SIDES,
     Saturation,
     measure_saturation,
@@ -57,7 +61,7 @@ def run_gradients(quick: bool) -> Iterator[CheckResult]:
             yield from judge_estimator(name, estimator, quick)
     sides = QUICK_SIDES if quick else SIDES
     measured = [saturation for side in sides for saturation in measure_saturation(side)]
-    for ratio in RATIOS:
+    for ratio in RATIO_KINDS:
         yield _judge_ratio(ratio, [s for s in measured if s.ratio == ratio])
 
 

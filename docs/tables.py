@@ -1,0 +1,115 @@
+"""Fill the generated tables of README and documentation: python docs/tables.py
+
+A table stands between `<!-- table: SOURCE -->` and `<!-- /table -->`. SOURCE is one of:
+
+- `results/parts.md#First frame`: the table under that heading of a page of results
+- `families`: every family, its paper and its licence
+- `rows PATTERN,...`: rows such as `ours/latent*`, their questions and weights
+- `scores ROW,...`: PSNR of rows on `mini` and on `real`
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Sequence
+from fnmatch import fnmatch
+from functools import cache
+from pathlib import Path
+
+from rlbench import registry
+from rlbench.benchmark.listing import MethodFacts, method_facts
+
+ROOT = Path(__file__).parents[1]
+DOCS = ROOT / "docs"
+PAGES = (ROOT / "README.md", *sorted(DOCS.rglob("*.md")))
+BLOCK = re.compile(r"(<!-- table: (.+?) -->\n).*?(<!-- /table -->)", re.DOTALL)
+BUDGETS = ("0.5 spp", "1 spp", "2 spp", "4 spp")
+
+
+def fill_tables(page: str) -> str:
+    """The text of a page with all its tables made anew."""
+    return BLOCK.sub(lambda block: f"{block[1]}{_make_table(block[2])}\n{block[3]}", page)
+
+
+def _make_table(source: str) -> str:
+    kind, _, names = source.partition(" ")
+    if source == "families":
+        return _format(_list_families())
+    if kind == "rows":
+        return _format(_list_rows(names.split(",")))
+    if kind == "scores":
+        return _format(_list_scores(names.split(",")))
+    page, _, heading = source.partition("#")
+    return _format(_read_table(page, heading))
+
+
+def _format(rows: Sequence[Sequence[str]]) -> str:
+    return "\n".join(f"| {' | '.join(cells)} |" for cells in rows)
+
+
+def _read_table(page: str, heading: str) -> list[list[str]]:
+    """The cells of the first table under a heading, with header and rule."""
+    text = (DOCS / page).read_text()
+    section = text[text.index(f"### {heading}\n") :]
+    lines = re.search(r"(?:^\|.*\n)+", section, re.MULTILINE)
+    if lines is None:
+        raise ValueError(f"no table under '{heading}' in {page}")
+    return [[cell.strip() for cell in line.split("|")[1:-1]] for line in lines[0].splitlines()]
+
+
+@cache
+def _facts() -> list[MethodFacts]:
+    return method_facts()
+
+
+def _list_families() -> list[list[str]]:
+    """A line for each family: its title, its paper and its licence."""
+    rows = {
+        facts.family: [f"`{facts.family}`", facts.title, facts.paper, facts.licence]
+        for facts in _facts()
+    }
+    return [["family", "method", "paper", "licence"], ["---"] * 4, *rows.values()]
+
+
+def _list_rows(patterns: Sequence[str]) -> list[list[str]]:
+    """A line for each row: its question, whose weights it has, and how long they trained."""
+    rows = [["row", "question", "weights", "frames trained"], ["---", "---", "---", "---:"]]
+    for facts in _facts():
+        if any(fnmatch(facts.name, pattern) for pattern in patterns):
+            source = registry.get_variant(facts.name).weights_from
+            weights = f"`{source}`" if source else facts.weights.removeprefix("shipped, ")
+            frames = facts.card.frames_seen if facts.card else 0
+            rows.append(
+                [f"`{facts.name}`", facts.question, weights, f"{frames:,}" if frames else ""]
+            )
+    return rows
+
+
+def _list_scores(names: Sequence[str]) -> list[list[str]]:
+    """PSNR of rows on `mini` and on `real`, without intervals; `-` where a row cannot run."""
+    pages = {
+        "mini": _read_table("results/summary.md", "psnr [dB], mean over scenes"),
+        "real": _read_table("results/real.md", "PSNR [dB], mean over scenes"),
+    }
+    head = ["row", *(f"{preset}: {spp}" for preset in pages for spp in BUDGETS)]
+    rows = [head, ["---", *["---:"] * (len(head) - 1)]]
+    for name in names:
+        cells = [f"`{name}`"]
+        for header, _, *lines in pages.values():
+            line = next((line for line in lines if line[0].strip("*") == name), [])
+            scores = dict(zip(header, line, strict=False))
+            cells += [scores.get(spp, "-").split("[")[0].strip(" *") for spp in BUDGETS]
+        rows.append([cell.removesuffix(" tie") for cell in cells])
+    return rows
+
+
+def main() -> None:
+    """Write every page whose tables changed."""
+    for page in PAGES:
+        text = page.read_text()
+        if (filled := fill_tables(text)) != text:
+            page.write_text(filled)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,141 @@
+"""What the views of the page show: curves, ranked rows, scores of frames, provenance."""
+
+from __future__ import annotations
+
+from collections.abc import Collection
+from dataclasses import replace
+from typing import Any
+
+import pandas as pd
+from scipy import stats
+
+from reports.analysis.curves import Curve, curves_of, measured_sample_ms, methods_without_curve
+from reports.analysis.differences import ALL_SCENES, correct_by_holm, rank_methods
+from reports.analysis.intervals import LEVEL
+from reports.analysis.rows import remarks, skip_reasons
+from reports.analysis.scores import Scores, metrics_with_values
+
+KEYS = ["method", "scene", "target_spp"]
+TIMES = ["inference_ms", "frame_ms", "mean_spp", "unreliable"]
+SHOWN = ["mean", "difference", "low", "high", "best", "verdict", "mark"]
+RECORDED = ("device", "dtype", "code_hash", "weights_hash", "config", "size", "preset", "run_id")
+
+
+def decision_data(rows: pd.DataFrame, device: str) -> list[dict[str, Any]]:
+    """For each metric that ranks methods: its curves over all scenes, and over each scene.
+
+    `rows` are those of one device. A curve has `spp` and `fixed_ms` [budgets], `units` [budgets
+    units], `samples` [budgets] and `unreliable` [budgets], as in `reports.analysis.curves`.
+    """
+    described = []
+    for metric in metrics_with_values(rows):
+        scores = Scores(rows, metric, device)
+        if not scores.direction:
+            continue
+        scenes = sorted(set(scores.measured["scene"]))
+        parts = [("mean over scenes", scores)] if len(scenes) > 1 else []
+        parts += [(s, replace(scores, rows=rows[rows["scene"] == s])) for s in scenes]
+        scopes = [scope for name, part in parts if (scope := _scope(name, part))["curves"]]
+        if scopes:
+            described.append(
+                {
+                    "metric": metric,
+                    "unit": scores.column_text("unit"),
+                    "convention": scores.convention,
+                    "sign": -1 if scores.direction == "lower" else 1,
+                    "cost_source": scores.cost_source,
+                    "scopes": scopes,
+                }
+            )
+    return described
+
+
+def student_factors(units: int) -> list[float]:
+    """Half width of the 95 % interval in standard errors, by number of units up to `units`.
+
+    Without two units there is no interval: the first two are 0.
+
+    >>> [round(factor, 2) for factor in student_factors(4)]
+    [0.0, 0.0, 12.71, 4.3, 3.18]
+    """
+    known = [float(stats.t.ppf((1 + LEVEL) / 2, count - 1)) for count in range(2, units + 1)]
+    return [0.0, 0.0, *known]
+
+
+def _scope(name: str, scores: Scores) -> dict[str, Any]:
+    curves = curves_of(scores)
+    points = scores.points
+    marked = points[points["unreliable"]]
+    unreliable = {(str(m), float(s)) for m, s in marked[["method", "target_spp"]].to_numpy()}
+    return {
+        "name": name,
+        "unit": "scenes" if scores.scene_means["scene"].nunique() > 1 else "clips",
+        "sample_ms": measured_sample_ms(scores),
+        "curves": [_curve(curve, unreliable) for curve in curves],
+        "missing": methods_without_curve(scores, curves),
+    }
+
+
+def _curve(curve: Curve, unreliable: set[tuple[str, float]]) -> dict[str, Any]:
+    return {
+        "method": curve.method,
+        "spp": curve.spp.tolist(),
+        "units": curve.units.tolist(),
+        "fixed_ms": curve.fixed_ms.tolist(),
+        "samples": curve.samples.tolist(),
+        "unreliable": [(curve.method, float(spp)) in unreliable for spp in curve.spp],
+    }
+
+
+def table_data(rows: pd.DataFrame, device: str) -> dict[str, Any]:
+    """The ranking of each metric by scene and budget, with times, and what was not measured.
+
+    `rows` are those of one device. A record has scope (a scene, or "all"), method, spp, mean, the
+    paired difference to the best with its interval, verdict, and times.
+    """
+    metrics = []
+    for metric in metrics_with_values(rows):
+        scores = Scores(rows, metric, device)
+        times = pd.concat([scores.points, scores.overall.assign(scene=ALL_SCENES)])
+        groups = rank_methods(scores).groupby(["scene", "target_spp"])
+        ranked = pd.concat(correct_by_holm(group) for _, group in groups)
+        table = ranked.merge(times[[*KEYS, *TIMES]], on=KEYS, how="left")
+        metrics.append(
+            {
+                "metric": metric,
+                "unit": scores.column_text("unit"),
+                "direction": scores.direction,
+                "convention": scores.convention,
+                "records": table[[*KEYS, *SHOWN, *TIMES]].to_dict("records"),
+            }
+        )
+    return {"metrics": metrics, "notes": [*skip_reasons(rows), *remarks(rows)]}
+
+
+def frame_scores(rows: pd.DataFrame, clips: Collection[str]) -> list[dict[str, Any]]:
+    """The scores of each frame of some clips, for each metric, method and budget; seeds averaged.
+
+    `values` begin at frame 0; a frame without a score is nan.
+    """
+    scored = rows[rows["clip"].isin(clips) & (rows["frame"] >= 0) & (rows["direction"] != "")]
+    scored = scored[(scored["unit"] != "ms") & scored["value"].notna()]
+    if scored.empty:
+        return []
+    table = scored.pivot_table("value", ["metric", "clip", "method", "target_spp"], "frame")
+    table = table.reindex(columns=range(int(scored["frame"].max()) + 1))
+    return [
+        {"metric": metric, "clip": clip, "method": method, "spp": spp, "values": values}
+        for (metric, clip, method, spp), values in zip(
+            table.index, table.round(4).to_numpy().tolist(), strict=True
+        )
+    ]
+
+
+def provenance(rows: pd.DataFrame) -> dict[str, dict[str, str]]:
+    """By method: device, precision, hashes of code and weights, config, and notes on its rows."""
+    found: dict[str, dict[str, str]] = {}
+    for method, own in rows[rows["metric"] != "sample_ms"].groupby("method"):
+        texts = {name: ", ".join(sorted(set(own[name]) - {"", "{}"})) for name in RECORDED}
+        seeds = ", ".join(str(seed) for seed in sorted(set(own["seed"])))
+        found[str(method)] = {name: text for name, text in texts.items() if text} | {"seeds": seeds}
+    return found

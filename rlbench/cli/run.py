@@ -1,0 +1,200 @@
+"""The command run: measure methods on clips."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated, Literal
+
+import typer
+
+from rlbench.cli import options
+from rlbench.cli.arguments import Seeds, WeightsChoice, parse_seeds, split_names
+from rlbench.cli.methods import expand_methods, load_plugins, load_rows, warn_without_networks
+from rlbench.cli.options import MEASUREMENT, METHODS, OUTPUT, flag, folder, option
+from rlbench.cli.verbosity import note
+from rlbench.errors import OptionError
+from rlbench.system.process_settings import wait_asleep
+
+__all__ = ["run"]
+
+FIRST_RUN = ("ours", "ntas", "oidn", "oidn/tuned", "mean")  # rows without --methods: make demo
+
+
+def run(
+    context: typer.Context,
+    methods: options.Methods = None,
+    plugin: options.Plugins = None,
+    scenes: options.Scenes = None,
+    preset: options.Preset = "mini",
+    clips: options.Clips = None,
+    spp: options.Spp = options.DEFAULT_SPP,
+    cost: options.Cost = "measured",
+    out: Annotated[Path, folder("results folder; new rows are added to it")] = Path("results"),
+    keep_images: Annotated[
+        bool,
+        flag(
+            OUTPUT,
+            "--keep-images",
+            "keep the image of each frame, for rlbench evaluate; cells without are run again",
+        ),
+    ] = False,
+    as_json: options.Json = False,
+    weights: options.Weights = None,
+    bf16: options.Bf16 = False,
+    backend: options.Backend = "eager",
+    skip_tiles: Annotated[
+        bool,
+        flag(
+            METHODS,
+            "--skip-tiles",
+            "keep unchanged tiles of methods with a receptive field, for rows METHOD@tiles",
+        ),
+    ] = False,
+    takes: options.Takes = None,
+    pool: Annotated[
+        Literal["stored", "live"],
+        option(MEASUREMENT, "stored samples of the clip, or live ones, traced when they are drawn"),
+    ] = "stored",
+    seed: Annotated[
+        Seeds,
+        option(
+            MEASUREMENT,
+            "seeds of the sample order and of rounding, such as 0,1,2; default: 0",
+            value="SEEDS",
+            parse=parse_seeds,
+            show_default=False,
+        ),
+    ] = options.DEFAULT_SEEDS,
+    draws: Annotated[
+        int | None,
+        option(MEASUREMENT, "number of sample orders: --draws 3 is --seed 0,1,2", min=1),
+    ] = None,
+    repeats: options.Repeats = 10,
+    retime: Annotated[
+        bool,
+        flag(MEASUREMENT, "--retime", "measure the times of existing cells again, and no scores"),
+    ] = False,
+    scores_only: Annotated[
+        bool,
+        flag(
+            MEASUREMENT,
+            "--scores-only",
+            "measure no times; a later run without it, on a quiet machine, adds them",
+        ),
+    ] = False,
+    limit_frames: options.LimitFrames = None,
+    device: options.Device = "auto",
+    engine: options.Engine = "local",
+    ray_address: options.RayAddress = None,
+) -> None:
+    """Score and time methods on clips, and add the results.
+
+    Without --methods, the rows of `make demo` are measured, and those of --plugin; -m all measures
+    one row of every method. Cells that the results hold already are not measured again, so a killed
+    run resumes. A damaged row file is set aside, and its cell is measured again. The exit code is 1
+    if an error stopped a cell, if an image is not finite, or if there are no numbers; the last line
+    names the cells.
+
+    Examples:
+
+    \b
+      rlbench run
+      rlbench run --methods ours,ntas
+      rlbench run -m ours -m 'oidn/*' --scenes city --spp 1,4 --cost paper-2080ti --out paper
+      rlbench run -m mine --plugin mine.py --clips my_renders/ --out mine
+      rlbench run -m ours,mean --draws 4 --out draws
+      rlbench run -m ours --scenes temple --pool live --out live
+      rlbench run -m ours --weights seed1=runs/seed1/ours/ours.safetensors
+      rlbench run -m ours,oidn --bf16
+      rlbench run -m ours,oidn --backend openvino
+      rlbench run -m eaw/still --spp 0.25 --skip-tiles
+      rlbench run -m ours,oidn --retime
+      rlbench run -m ours,oidn --scores-only
+      rlbench run -m ours,oidn --keep-images
+      rlbench run -m all --preset standard --takes main --engine ray --out large
+    """
+    seeds = _sample_orders(seed, draws)
+    if scores_only:
+        wait_asleep()  # before a plugin imports torch
+    names = _select_methods(context, plugin, methods)  # before torch
+    chosen = weights or WeightsChoice()
+    from rlbench.benchmark.api import plan_run
+    from rlbench.benchmark.run_outcome import read_outcome
+    from rlbench.benchmark.runner import check_times_alone, measure
+    from rlbench.cli import console, json_output
+    from rlbench.parallel.ray_executor import open_executor
+
+    if retime:
+        check_times_alone(scores_only, keep_images)
+    warn_without_networks(names, bf16, chosen)
+    with open_executor(engine, ray_address) as executor:
+        plan = plan_run(
+            names,
+            out,
+            spp=spp,
+            scenes=split_names(scenes),
+            preset=preset,
+            takes=takes,
+            clips=clips,
+            pool=pool,
+            seeds=seeds,
+            device=device,
+            cost=cost,
+            weights=chosen.file,
+            weights_label=chosen.label,
+            bf16=bf16,
+            backend=backend,
+            skip_tiles=skip_tiles,
+            limit_frames=limit_frames,
+            repeats=repeats,
+            executor=executor,
+        )
+        with console.measuring(plan) as bar:
+            summary = measure(
+                plan,
+                out,
+                bar.on_cell,
+                executor,
+                bar.on_timing,
+                retime=retime,
+                scores_only=scores_only,
+                keep_images=keep_images,
+            )
+    outcome = read_outcome(plan, summary, out)
+    if as_json:
+        json_output.print_json(json_output.run_output(outcome))
+    else:
+        console.print_outcome(outcome)
+    if not outcome.verdict.has_passed:
+        raise typer.Exit(1)
+
+
+def _select_methods(
+    context: typer.Context, plugins: list[Path] | None, patterns: list[str] | None
+) -> tuple[str, ...]:
+    """The methods to run; without any, those of a first run, and a note that says so."""
+    load_plugins(plugins, allow_broken=True)  # those of a first run include their methods
+    selected = split_names(patterns) or first_run()
+    load_rows(context, None, selected)
+    names = expand_methods(selected)
+    if not patterns:
+        note(f"rows of a first run: {', '.join(names)}; -m all runs one row of every method")
+    return names
+
+
+def first_run() -> list[str]:
+    """The rows of a run without --methods: those of `make demo`, then those of plugin files."""
+    from rlbench import registry
+
+    return list(dict.fromkeys([*FIRST_RUN, *registry.plugin_file_methods()]))
+
+
+def _sample_orders(seeds: Seeds, draws: int | None) -> tuple[int, ...]:
+    """The seeds of the sample order. Raises OptionError if they are given twice."""
+    if draws is None:
+        return seeds
+    if seeds != options.DEFAULT_SEEDS:
+        raise OptionError(
+            f"--draws {draws} is --seed 0:{draws}, and --seed was given too. Omit one"
+        )
+    return tuple(range(draws))

@@ -1,0 +1,313 @@
+"""The command train: train methods, on clips that are rendered or the user's own."""
+
+from __future__ import annotations
+
+import math
+import re
+import shlex
+import sys
+from dataclasses import replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from rlbench.cli import options
+from rlbench.cli.arguments import Seeds, parse_keep, parse_share, split_names
+from rlbench.cli.methods import load_plugins, pool_kinds, trainable_methods
+from rlbench.cli.options import CLIPS, TRAINING, complete_names, flag, folder, option
+from rlbench.cli.verbosity import note
+from rlbench.errors import OptionError
+
+if TYPE_CHECKING:
+    from rlbench.training.config import TrainingConfig
+    from rlbench.training.runs import TrainingRuns
+
+__all__ = ["QUICK_FRAMES", "train", "training_runs"]
+
+QUEUE = "Queue"  # title of a group of options
+QUICK_FRAMES = 600
+DEFAULT_MIX = 0.5
+
+
+def train(
+    context: typer.Context,
+    methods: options.Methods = None,
+    plugin: options.Plugins = None,
+    quick: Annotated[
+        bool,
+        flag(
+            CLIPS,
+            "--quick",
+            "try a training: on procedural clips, which need no rendering, not for results",
+        ),
+    ] = False,
+    frames: options.Frames = None,
+    clips: Annotated[
+        list[str] | None,
+        option(
+            CLIPS,
+            "clips of your own to train on, folders or patterns a,b, alone or mixed with "
+            "--preset; can be repeated",
+            value="FOLDERS",
+        ),
+    ] = None,
+    minutes: options.Minutes = None,
+    device: options.Device = "auto",
+    out: Annotated[Path, folder("folder of weights, checkpoints and logs")] = Path("runs"),
+    preset: Annotated[
+        str | None,
+        option(
+            CLIPS,
+            "clips to train on, a or a,b; default: train, or mini with --holdout",
+            value="PRESETS",
+            complete=complete_names("presets"),
+        ),
+    ] = None,
+    seeds: options.SceneSeeds = None,
+    mix: Annotated[
+        float | None,
+        option(
+            CLIPS,
+            "share of the crops from --clips where --preset is given too; default: 0.5",
+            value="SHARE",
+            parse=parse_share,
+        ),
+    ] = None,
+    validate: Annotated[
+        list[str] | None,
+        option(
+            CLIPS,
+            "clips to validate on: folders, or presets for decisions such as development, a,b; "
+            "each is a set with a curve; default: some of those to train on",
+            value="[NAME=]SET",
+        ),
+    ] = None,
+    holdout: Annotated[
+        str | None,
+        option(CLIPS, "train on the test scenes of the preset except this one", value="SCENE"),
+    ] = None,
+    batch: options.Batch = 1,
+    crop: options.Crop = options.DEFAULT_CROP,
+    train_spp: options.TrainSpp = options.DEFAULT_TRAIN_SPP,
+    bf16: options.TrainBf16 = False,
+    max_grad_norm: options.MaxGradNorm = 1.0,
+    seed: options.TrainSeed = 0,
+    eval_interval: Annotated[
+        int,
+        option(
+            TRAINING,
+            "crops between two validations, each of which writes a checkpoint",
+            value="FRAMES",
+            min=1,
+        ),
+    ] = 1000,
+    keep: Annotated[
+        str,
+        option(
+            TRAINING,
+            "which averaged weights to save: the last ones, or those of the best validation, by "
+            "the mean over the sets or by one of them",
+            value="last|best|best:SET",
+            parse=parse_keep,
+        ),
+    ] = "last",
+    start: Annotated[
+        str | None,
+        option(
+            TRAINING,
+            "first weights of new runs: a weights file, or a finished run in --out such as "
+            "ours/A2; tensors of equal name and shape are taken",
+            value="FILE|RUN",
+        ),
+    ] = None,
+    restart: Annotated[
+        bool,
+        flag(
+            TRAINING,
+            "--restart/--resume",
+            "start again and keep the old run as NAME.old-N, or resume it",
+        ),
+    ] = False,
+    allow_config_change: options.AllowConfigChange = False,
+    queue: Annotated[
+        Path | None,
+        option(
+            QUEUE,
+            "run the trainings that a TOML file lists, on free processors; the same command "
+            "resumes them",
+            value="FILE",
+            exists=True,
+            dir_okay=False,
+        ),
+    ] = None,
+    status: Annotated[
+        bool, flag(QUEUE, "--status", "show how far the trainings of --queue are")
+    ] = False,
+    pause: Annotated[
+        bool | None,
+        flag(
+            QUEUE,
+            "--pause/--unpause",
+            "stop the processes of the queue that runs in --out, or let them continue",
+        ),
+    ] = None,
+) -> None:
+    """Train methods, or resume their training.
+
+    The clips are generated scenes, none of which belongs to a test set; missing ones are rendered
+    first. With --clips, they are your own, alone or mixed with those of --preset. With --holdout,
+    they are all test scenes of a preset except one, as in the papers. With --quick, they are
+    procedural and there at once, and the run lies in NAME-quick. With --queue, a file lists many
+    trainings. docs/how-to/train-a-method.md describes the training.
+
+    Examples:
+
+    \b
+      rlbench train -m mine --plugin mine.py --quick
+      rlbench train --methods ours,ntas
+      rlbench train -m ours --minutes 30 --device cuda
+      rlbench train -m ours --seeds 0:40 --train-spp 0.5,1
+      rlbench train -m ours --clips my_clips/ --preset train --mix 0.7
+      rlbench train -m ours --clips 'shots/*' --validate development,mine=held_out/ --keep best
+      rlbench train -m ntas --holdout hall --preset standard
+      rlbench train -m ours/paper --start ours/paper-A2 --frames 20000
+      rlbench train --queue campaign.toml --out runs/campaign
+      rlbench train --queue campaign.toml --out runs/campaign --status
+    """
+    from rlbench.cli import train_queue
+
+    if train_queue.has_options(context):
+        train_queue.run_command(context)
+        return
+    load_plugins(plugin)
+    names = trainable_methods(methods or ["all"])  # before torch
+    from rlbench.parallel.executor import TimeLimit, TimeLimitedExecutor
+    from rlbench.system.paths import check_writable
+    from rlbench.training import dataset
+    from rlbench.training.config import TrainingConfig
+    from rlbench.training.logger import tensorboard_hint
+    from rlbench.training.run_folder import QUICK, find_weights
+    from rlbench.training.runs import archive_run
+
+    check_writable(out)
+    limit = TimeLimit(math.inf if minutes is None else minutes)
+    config = TrainingConfig(
+        frames or (QUICK_FRAMES if quick else options.DEFAULT_FRAMES),
+        batch,
+        crop,
+        seed=seed,
+        max_grad_norm=max_grad_norm,
+        bf16=bf16,
+        spp=train_spp,
+        mix=_mix_share(mix, preset, seeds, clips),
+        keep=keep,
+        eval_interval=eval_interval,
+    )
+    runs = training_runs(out, config, device, minutes, allow_config_change)
+    runs = replace(runs, suffix=QUICK if quick else "", start=find_weights(start, out))
+    runs.check(names)
+    if quick:
+        chosen = {"preset": preset, "seeds": seeds, "holdout": holdout, "clips": clips}
+        _refuse_other_clips(chosen | {"validate": validate})
+        split = dataset.split_quick(pool_kinds(names))
+    else:
+        if holdout is None:
+            _announce_rendering(preset, seeds, clips)
+        split = dataset.select_split(
+            preset,
+            seeds,
+            holdout,
+            pool_kinds(names),
+            TimeLimitedExecutor(limit),
+            split_names(clips),
+            split_names(validate),
+        )
+    for text in filter(None, (split.remark, tensorboard_hint())):
+        note(text)
+    if clips or validate:
+        runs.check_clips(names, split)
+        note(split.summary)
+    runs = replace(runs, minutes=limit.minutes_left)
+    for name in names:
+        folder = runs.folder(name, holdout)
+        if restart and (archived := archive_run(folder)):
+            typer.echo(f"{name}: the old run is now in {archived}")
+        runs.train(name, split, holdout)
+        typer.echo(f"{name}: {folder}")
+
+
+def _mix_share(
+    mix: float | None, preset: str | None, seeds: Seeds | None, clips: list[str] | None
+) -> float:
+    """The share of crops from --clips that are mixed in; 0 without clips of both kinds."""
+    is_mixed = bool(clips) and (preset is not None or seeds is not None)
+    if mix is not None and not is_mixed:
+        raise OptionError(
+            "--mix is the share of crops from --clips, the others are from --preset. Give both of "
+            "them, or omit --mix"
+        )
+    return (mix or DEFAULT_MIX) if is_mixed else 0.0
+
+
+def _announce_rendering(preset: str | None, seeds: Seeds | None, clips: list[str] | None) -> None:
+    """Say how many training clips are rendered before the training begins."""
+    from rlbench.render.presets import PRESETS
+    from rlbench.training import dataset
+
+    if clips and preset is None and seeds is None:
+        return
+    names = split_names([preset or "train"])
+    # an error that suggests the nearest name follows for others
+    counts = [dataset.count_unrendered(name, seeds) for name in names if name in PRESETS]
+    missing, total = (sum(numbers) for numbers in zip((0, 0), *counts, strict=True))
+    if missing:
+        note(
+            f"{missing} of {total} training clips have to be rendered first. --quick tries the "
+            "training on clips that need no rendering"
+        )
+
+
+def _refuse_other_clips(chosen: dict[str, object]) -> None:
+    """Raise OptionError for options that choose clips, which --quick has of its own."""
+    if given := [option for option, value in chosen.items() if value is not None]:
+        raise OptionError(
+            f"--quick trains on clips of its own, and --{given[0]} chooses others. Omit one of them"
+        )
+
+
+def training_runs(
+    out: Path,
+    config: TrainingConfig,
+    device: str,
+    minutes: float | None = None,
+    allow_config_change: bool = False,
+) -> TrainingRuns:
+    """Runs with these options, a progress bar, and this command in their model cards."""
+    from rlbench.benchmark.api import select_device
+    from rlbench.cli import console
+    from rlbench.system.bfloat16 import emulation_reason
+    from rlbench.training.runs import TrainingRuns
+
+    selected = str(select_device(device))
+    if config.bf16 and (reason := emulation_reason(selected)):
+        note(f"warning: {reason}; training is faster without --bf16")
+    return TrainingRuns(
+        out,
+        config,
+        selected,
+        math.inf if minutes is None else minutes,
+        _reproducing_command(sys.argv[1:]),
+        allow_config_change,
+        console.training,
+    )
+
+
+def _reproducing_command(words: list[str]) -> str:
+    """The command for model cards, without the folders of this machine: names of paths alone.
+
+    >>> _reproducing_command(["train", "-m", "ours/A1", "--clips", "/home/me/a,/home/me/b/"])
+    'rlbench train -m ours/A1 --clips a,b/'
+    """
+    absolute = re.compile(r"(?<![^,=])[/~][^,=]*/(?=[^,/=]+)|(?<![^,=])[/~](?=[^,/=]+)")
+    return shlex.join(["rlbench", *(absolute.sub("", word) for word in words)])

@@ -1,0 +1,142 @@
+"""Identities of cells: what changes the hash of their scores, and what that of their times."""
+
+from __future__ import annotations
+
+import shutil
+
+import pytest
+
+from rlbench import registry
+from rlbench.benchmark import latency
+from rlbench.benchmark.cell_key import CellId
+from rlbench.benchmark.content_hash import CellIds
+from rlbench.benchmark.run_plan import RunPlan, list_cells
+from rlbench.render.mitsuba import open_tracer
+from rlbench.system import provenance
+from tests.benchmark.test_runner import change_code, run_plan
+from tests.conftest import write_noise, write_plugin
+
+
+def cell_ids(plan: RunPlan) -> list[CellId]:
+    ids = CellIds(plan)
+    return [ids.cell_id(cell) for cell in list_cells(plan)]
+
+
+def test_another_sample_time_of_a_pool_is_another_cell(tmp_path):
+    """A profile has path samples only; others cost their measured multiple of them."""
+    ids = set()
+    for price in (4.0, 8.0):
+        pools = {"pools": ("path", "restir"), "pools_ms": (2.0, price)}
+        folder = write_noise(tmp_path / "noise", **pools)
+        for file in folder.glob("pool.path.*"):
+            shutil.copy(file, folder / file.name.replace("path", "restir"))
+        plan = run_plan(folder, "restir", "mean", cost="paper-2080ti")
+        ids |= set(cell_ids(plan))
+    assert sorted(cell.key.method for cell in ids) == ["mean", "restir", "restir"]
+
+
+def test_the_imports_of_a_plugin_file_decide_its_content_hash(clip_folder, tmp_path, monkeypatch):
+    monkeypatch.syspath_prepend(tmp_path)
+    plugin = write_plugin(tmp_path / "odd.py", "odd")
+    plugin.write_text("import beside_it\n" + plugin.read_text())
+    registry.use_plugin(plugin)
+    plan, ids = run_plan(clip_folder, "odd", "mean"), []
+    for width in (4, 8):
+        (tmp_path / "beside_it.py").write_text(f"WIDTH = {width}\n")
+        ids.append(cell_ids(plan))
+    (odd, mean), (changed, same) = ids
+    assert odd != changed
+    assert mean == same
+
+
+@pytest.mark.parametrize(
+    "line",
+    [
+        "from helpers import net",
+        "try:\n    from .net import WIDTH\nexcept ImportError:\n    pass",
+        "try:\n    from torn import WIDTH\nexcept ZeroDivisionError:\n    pass",
+    ],
+)
+def test_a_plugin_file_has_a_hash_whatever_it_imports(clip_folder, tmp_path, monkeypatch, line):
+    monkeypatch.syspath_prepend(tmp_path)
+    for folder, text in (("helpers", "net"), ("torn", "__init__")):
+        (tmp_path / folder).mkdir()
+        (tmp_path / folder / f"{text}.py").write_text("1 / 0" if folder == "torn" else "WIDTH = 4")
+    plugin = write_plugin(tmp_path / "odd.py", "odd")
+    plugin.write_text(f"{line}\n{plugin.read_text()}")
+    registry.use_plugin(plugin)
+    first = CellIds(run_plan(clip_folder, "odd")).code_hashes["odd"]
+    (tmp_path / "helpers" / "net.py").write_text("WIDTH = 8")
+    changed = CellIds(run_plan(clip_folder, "odd")).code_hashes["odd"]
+    assert len(first) == len(changed) == 16
+    assert (first != changed) == ("helpers" in line)
+
+
+def test_samples_are_charged_again_on_another_machine(clip_folder, monkeypatch):
+    plan, ids = run_plan(clip_folder), set()
+    for cores in (2, 16):
+        here = provenance.Machine("cpu", cores, "gpu", "os")
+        monkeypatch.setattr(provenance, "machine", lambda here=here: here)
+        monkeypatch.setattr(latency, "device_name", lambda device: "gpu")
+        ids |= set(cell_ids(plan))
+    assert len(ids) == 2
+
+
+@pytest.mark.parametrize("part", ["rlbench.render.jobs.scatter", "rlbench.render.mitsuba.tracer"])
+def test_new_code_that_measures_scattered_samples_times_cells_again(clip_folder, monkeypatch, part):
+    plan = run_plan(clip_folder)
+    (before,) = cell_ids(plan)
+    change_code(monkeypatch, part)
+    (after,) = cell_ids(plan)
+    assert after.has_scores_of(before)
+    assert after.times_hash != before.times_hash
+
+
+@pytest.mark.parametrize("is_local", [False, True])
+def test_samples_that_are_traced_here_are_timed_again_by_another_tracer_or_scene(
+    tmp_path, monkeypatch, is_local
+):
+    device = provenance.machine().name if is_local else "another machine"
+    plan = run_plan(write_noise(tmp_path / "noise", scene="temple", device=device))
+    ids = []
+    for threads in (1, 2, 2):
+        tracer = f"llvm_ad_rgb, {threads} threads"
+        monkeypatch.setattr(open_tracer, "describe_tracer", lambda tracer=tracer: tracer)
+        ids += cell_ids(plan)
+    change_code(monkeypatch, registry.list_entries("scenes")["temple"].target.partition(":")[0])
+    ids += cell_ids(plan)
+    one, two, again, changed = ids
+    assert all(each.has_scores_of(one) for each in ids)
+    assert two == again
+    assert (one == two == changed) == is_local
+    assert (len({one, two, changed}) == 3) == (not is_local)
+
+
+def test_a_machine_without_a_tracer_has_an_identity_of_its_times(tmp_path, monkeypatch):
+    def fail():
+        raise ImportError("no tracer")
+
+    plan = run_plan(write_noise(tmp_path / "noise", scene="temple"))
+    monkeypatch.setattr(open_tracer, "describe_tracer", lambda: "llvm_ad_rgb, 2 threads")
+    (traced,) = cell_ids(plan)
+    monkeypatch.setattr(open_tracer, "describe_tracer", fail)
+    (untraced,) = cell_ids(plan)
+    assert untraced.times_hash not in ("", traced.times_hash)
+
+
+@pytest.mark.parametrize(
+    "part", ["rlbench.ops.dither", "baselines.oidn.method", "methods.ours.accumulators"]
+)
+def test_the_code_of_ours_decides_its_content_hash(clip_folder, monkeypatch, part):
+    plan = run_plan(clip_folder, "ours")
+    before = cell_ids(plan)
+    change_code(monkeypatch, part)
+    assert cell_ids(plan) != before
+
+
+def test_the_code_that_makes_the_ground_truth_decides_scores(clip_folder, monkeypatch):
+    plan = run_plan(clip_folder)
+    (before,) = cell_ids(plan)
+    change_code(monkeypatch, "rlbench.benchmark.scoring")
+    (after,) = cell_ids(plan)
+    assert not after.has_scores_of(before)

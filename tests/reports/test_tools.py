@@ -1,0 +1,210 @@
+"""Commands that draw what experiments, `rlbench speed`, `rlbench stress` and cards recorded."""
+
+from __future__ import annotations
+
+import csv
+from pathlib import Path
+
+import pandas as pd
+import pytest
+from matplotlib.image import imread
+
+from reports import gradients, known_optimum, memory, stress_matrix, training_curves
+from reports.published import published
+from reports.stress_matrix import FILLS, INK, MARKS, Cell, draw_grid
+from rlbench.checks.stress.tables import VERDICT_NAMES
+from rlbench.weights import read_card
+from tests.reports.conftest import cells
+
+DOCS = Path(__file__).parents[2] / "docs"
+RESULTS = DOCS / "results"
+
+
+def has_ink(file):
+    image = imread(file)[..., :3]
+    return image.min() < 0.25 < image.max()
+
+
+SHIPPED = {  # a mark in the page -> a table of the committed results
+    "gradients": lambda: gradients.gradient_table(pd.read_csv(RESULTS / "gradients.csv")),
+    "ratios": lambda: gradients.ratio_table(pd.read_csv(RESULTS / "importance_ratio.csv")),
+    "table": lambda: known_optimum.markdown_table(pd.read_csv(RESULTS / "known_optimum.csv")),
+}
+
+
+@pytest.mark.parametrize("name", SHIPPED)
+def test_the_tables_in_the_docs_are_those_of_the_committed_results(name):
+    page = (DOCS / "concepts" / "learning-to-sample.md").read_text(encoding="utf-8")
+    shown = page.split(f"<!-- {name} -->\n")[1].split(f"<!-- /{name} -->")[0]
+    assert shown == SHIPPED[name]()
+
+
+def test_every_learner_and_estimator_of_the_committed_results_has_a_line_style():
+    learners = pd.read_csv(RESULTS / "known_optimum.csv")["learner"]
+    assert set(learners) == set(known_optimum.LINE_STYLES)
+    estimators = pd.read_csv(RESULTS / "gradients.csv")["estimator"]
+    assert set(estimators) == {*gradients.LINE_STYLES, *gradients.UNDRAWN}
+
+
+@pytest.mark.parametrize(
+    ("module", "tables", "figures"),
+    [
+        (gradients, ("gradients", "importance_ratio"), ("gradients", "importance_ratio")),
+        (known_optimum, ("known_optimum",), ("known_optimum",)),
+        (training_curves, (), ("training",)),
+    ],
+)
+def test_a_command_draws_the_committed_tables(module, tables, figures, tmp_path, capsys):
+    for name in tables:
+        (tmp_path / f"{name}.csv").write_bytes((RESULTS / f"{name}.csv").read_bytes())
+    module.main(tmp_path)
+    assert {file.stem for file in tmp_path.glob("*.png")} == set(figures)
+    assert all(has_ink(file) for file in tmp_path.glob("*.png"))
+    assert ("| --- |" in capsys.readouterr().out) == bool(tables)
+
+
+def test_unknown_directions_and_lengths_are_question_marks():
+    """Two estimators with two denoisers at three budgets; one direction is unknown."""
+    columns = ["estimator", "denoiser", "spp", "has_scale", "scale", "scale_margin", "cosine"]
+    records = [
+        (name, denoiser, spp, name == "surrogate", spp / 2, 0.4, cosine)
+        for name in ("surrogate", "reinforce")
+        for denoiser in ("no filter", "count-weighted filter")
+        for spp, cosine in ((0.5, None), (4.0, 0.9), (64.0, 0.95))
+    ]
+    table = pd.DataFrame(records, columns=columns).assign(cosine_margin=0.05, frames=1234.5)
+    surrogate, reinforce = gradients.gradient_table(table).splitlines()[2:]
+    assert surrogate == (
+        "| surrogate | ? / 0.90 / 0.95 | ? / 0.90 / 0.95 | ? / 2.00 / 32.00 "
+        "| >183 / 1,234 / 1,234 | >183 / 1,234 / 1,234 |"
+    )
+    assert "| any |" in reinforce
+
+
+def test_scores_of_learners_are_means_over_seeds_with_their_range():
+    records = [
+        ("critic", mode, seed, frames, 2.0 * frames, score + seed / 10)
+        for mode in ("direct", "filter")
+        for seed in (0, 1)
+        for frames, score in ((100, 0.5), (200, 0.4))
+    ]
+    columns = ["learner", "mode", "seed", "frames", "seconds", "score"]
+    table = pd.DataFrame(records, columns=columns)
+    both = "0.45 (0.40 to 0.50) | 0.55"
+    line = known_optimum.markdown_table(table).splitlines()[-1]
+    assert line == f"| critic | {both} | {both} | 200 | 400 | 2 |"
+    first = known_optimum.average_seeds(table).iloc[0]
+    assert (first["lowest"], first["highest"]) == (0.5, 0.6)
+
+
+def test_each_trained_card_that_ships_is_a_curve_named_at_its_end():
+    cards = [read_card(p.with_suffix(".safetensors")) for p in training_curves.shipped_cards()]
+    trained = {card.name: card.validation_history for card in cards if card.validation_history}
+    trainings = training_curves.read_cards(training_curves.shipped_cards())
+    curves = {t.name: tuple(zip(t.crops, t.psnr, strict=True)) for t in trainings}
+    assert curves == {name: tuple(map(tuple, history)) for name, history in trained.items()}
+    assert len(curves) > 20
+    for axes in training_curves.draw_trainings(trainings).axes:
+        ends = [(text.get_position()[1], float(text.get_text().split()[1])) for text in axes.texts]
+        assert ends == sorted(ends)
+
+
+SPEED = pd.DataFrame(
+    [
+        ("ours/latent", 720, 720, 1000.0, 190.0, 200.0, 1000.0),
+        ("ours/latent@openvino", 720, 720, 1000.0, 190.0, 200.0, float("nan")),
+        ("ours/latent", 64, 64, 1000.0, 190.0, 201.0, 10.0),
+        ("svgf", 720, 720, 0.0, 0.0, 45.0, float("nan")),
+    ],
+    columns=[
+        "method", "height", "width", "parameters", "multiply_adds", "state_bytes", "memory_mb",
+    ],
+)  # fmt: skip
+
+
+def test_memory_is_counted_as_the_paper_counts():
+    page = memory.memory_page(SPEED)
+    assert page.startswith("# Memory and work of a frame: 720 x 720\n")
+    # 200 x 720² / 2²⁰
+    assert cells(page, "By", "`ours/latent`") == ["1000", "190.0", "200", "98.9", "1000"]
+    assert cells(page, "By", "`svgf`")[-1] == "-"
+    assert cells(page, "Beside", "state, bytes") == ["128", "200"]
+    assert cells(page, "Beside", "state, 24") == ["212", "284"]  # 200 + 4 x (24 + 7 - 10)
+    assert cells(page, "Beside", "the same") == ["110", "147"]  # 284 x 720² / 10⁶
+    assert cells(page, "Beside", "weights") == ["< 50", "4.0"]
+    small = memory.memory_page(SPEED[SPEED["width"] == 64])
+    assert "64 x 64" in small.splitlines()[0]
+    assert "Beside the paper" not in memory.memory_page(SPEED[SPEED["method"] == "svgf"])
+
+
+def test_the_published_account_of_memory_adds_up():
+    paper = published().memory
+    added = paper.state_channels + paper.sample_channels + paper.guide_channels
+    assert 4 * (added - paper.earlier_channels) == paper.bytes_per_pixel
+    assert paper.bytes_per_pixel * paper.size**2 / 1e6 == pytest.approx(paper.megabytes, abs=0.5)
+
+
+def test_the_shipped_memory_page_is_that_of_the_shipped_table(tmp_path):
+    (tmp_path / "speed.csv").write_bytes((RESULTS / "speed.csv").read_bytes())
+    memory.main(tmp_path)
+    assert (tmp_path / "memory.md").read_text() == (RESULTS / "memory.md").read_text()
+
+
+STRESS = [  # method, section, test, verdict, figure, unit, good, fair, found, remedy
+    ["method", "section", "test", "verdict", "figure", "unit", "good", "fair", "found", "remedy"],
+    ("mean", "bad-pixel", "sample-nan", "passed", "1", "pixels", "256", "", "", ""),
+    ("mean", "bad-pixel", "depth-nan", "skipped", "", "", "", "", "reads no depth", ""),
+    ("mean", "budgets", "spp-0", "passed", "0", "pixels", "0", "0", "", ""),
+    ("ours/A1", "bad-pixel", "sample-nan", "failed", "inf", "pixels", "256", "", "spreads", "clip"),
+    ("ours/A1", "bad-pixel", "depth-nan", "degraded", "300", "pixels", "256", "", "a|b", "clamp"),
+    ("ours/A1", "budgets", "run", "skipped", "", "", "", "", "no weights", ""),
+    ("", "metrics", "psnr-nan", "passed", "0", "dB", "", "", "", ""),
+]
+
+
+@pytest.fixture
+def matrix(tmp_path):
+    with (tmp_path / "stress.csv").open("w", newline="") as file:
+        csv.writer(file).writerows(STRESS)
+    return stress_matrix.read_results(tmp_path)
+
+
+def test_a_cell_holds_the_worst_verdict_and_the_passed_tests_of_those_that_ran(matrix):
+    assert matrix.summary("mean", "bad-pixel") == Cell("passed", "1/1")
+    assert matrix.summary("ours/A1", "bad-pixel") == Cell("failed", "0/2")
+    assert matrix.summary("ours/A1", "budgets") == Cell("skipped")
+    assert matrix.summary("mean", "metrics") is None
+    assert matrix.sections(is_suite=True) == ["metrics"]
+
+
+def test_the_stress_page_lists_what_did_not_pass_with_the_worst_first(matrix, tmp_path):
+    files = stress_matrix.write_page(matrix, tmp_path / "made")
+    names = ["stress.md", "stress.png", "stress-bad-pixel.png", "stress-budgets.png"]
+    assert [file.name for file in files] == names
+    assert all(has_ink(file) for file in files[1:])
+    page = files[0].read_text()
+    assert "Planted bad pixels: 1 of 3 contained.\n" in page
+    assert "| mean | ✓ 1/1 | ✓ 1/1 |\n| ours/A1 | ✗ 0/2 | – |\n" in page  # noqa: RUF001
+    failed = "| ours/A1 | sample-nan | ✗ | inf pixels (256) | spreads | clip |"
+    degraded = "| ours/A1 | depth-nan | ! | 300 pixels (256) | a\\|b | clamp |"
+    assert f"{failed}\n{degraded}\n" in page
+    assert page.endswith("## metrics\n\nEvery test passed.\n")
+
+
+def brightness(color):
+    r, g, b = (int(color[i : i + 2], 16) / 255 for i in (1, 3, 5))
+    return 0.299 * r + 0.587 * g + 0.114 * b
+
+
+def test_verdicts_differ_in_grey_and_the_mark_stands_out():
+    assert set(MARKS) == set(FILLS) == set(INK) == set(VERDICT_NAMES.values())
+    levels = sorted(brightness(FILLS[name]) for name in ("passed", "degraded", "failed"))
+    assert min(b - a for a, b in zip(levels, levels[1:], strict=False)) > 0.1
+    assert all(abs(brightness(FILLS[n]) - brightness(INK[n])) > 0.45 for n in FILLS)
+
+
+def test_a_picture_of_28_methods_is_high_enough_for_their_names(tmp_path):
+    names = [f"method-{i}" for i in range(28)]
+    marked = {(name, "section"): Cell("passed", "36/36") for name in names}
+    draw_grid(marked, names, ["section"], "Title", tmp_path / "grid.png")
+    assert imread(tmp_path / "grid.png").shape[0] > 28 * 25  # pixels
