@@ -82,7 +82,7 @@ def test_samples_are_charged_again_on_another_machine(clip_folder, monkeypatch):
     assert len(ids) == 2
 
 
-@pytest.mark.parametrize("part", ["rlbench.render.jobs.scatter", "rlbench.render.mitsuba.tracer"])
+@pytest.mark.parametrize("part", ["rlbench.render.jobs.live_pool", "rlbench.render.mitsuba.tracer"])
 def test_new_code_that_measures_scattered_samples_times_cells_again(clip_folder, monkeypatch, part):
     plan = run_plan(clip_folder)
     (before,) = cell_ids(plan)

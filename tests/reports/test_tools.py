@@ -12,7 +12,7 @@ from matplotlib.image import imread
 from reports import gradients, known_optimum, memory, stress_matrix, training_curves
 from reports.published import published
 from reports.stress_matrix import FILLS, INK, MARKS, Cell, draw_grid
-from rlbench.checks.stress.tables import VERDICT_NAMES
+from rlbench.checks.stress.run import VERDICT_NAMES
 from rlbench.weights import read_card
 from tests.reports.conftest import cells
 

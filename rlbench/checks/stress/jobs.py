@@ -78,6 +78,7 @@ class FinishedJob:
     job: StressJob
     results: tuple[CheckResult, ...]
     is_stored: bool = False  # True if an earlier run measured them
+    is_complete: bool = True  # False if an exception ended it
 
 
 def plan_jobs(
@@ -120,7 +121,7 @@ def run_jobs(
     missing = []
     for job in jobs:
         if failure := registry.import_failure(job.method):
-            yield FinishedJob(job, (_report_run(job, failure),))
+            yield _fail(job, failure)
             continue
         results = None if is_restart else read_results(folder, job, hashes[job])
         if results is None:
@@ -128,23 +129,12 @@ def run_jobs(
         else:
             _logger.info("%s: in the results already", job.title)
             yield FinishedJob(job, results, is_stored=True)
-    for finished in executor.map(_SectionWork(), missing):
-        job = finished.job
-        if finished.error is None:
-            outcome = finished.result()
-        else:  # the job ended its process
-            outcome = _JobOutcome((_report_run(job, finished.error),), is_complete=False)
-        if outcome.is_complete:
-            write_results(folder, job, hashes[job], outcome.results)
-        yield FinishedJob(job, outcome.results)
-
-
-@dataclass(frozen=True)
-class _JobOutcome:
-    """The results of a job; it is complete unless an exception ended it."""
-
-    results: tuple[CheckResult, ...]
-    is_complete: bool = True
+    for outcome in executor.map(_SectionWork(), missing):
+        job, error = outcome.job, outcome.error  # a job may have ended its process
+        finished = outcome.result() if error is None else _fail(job, error)
+        if finished.is_complete:
+            write_results(folder, job, hashes[job], finished.results)
+        yield finished
 
 
 @dataclass
@@ -153,7 +143,7 @@ class _SectionWork:
 
     _method: StressedMethod | None = field(default=None, repr=False)
 
-    def __call__(self, job: StressJob, on_progress: ProgressCallback) -> _JobOutcome:
+    def __call__(self, job: StressJob, on_progress: ProgressCallback) -> FinishedJob:
         """All results of a job; an exception of the method or of the section is a failure."""
         results: list[CheckResult] = []
         try:
@@ -161,8 +151,8 @@ class _SectionWork:
                 for result in self._run(job):  # a plain number, as it will be read back
                     results.append(replace(result, figure=float(result.figure)))
         except Exception as error:  # whatever a method raises is reported
-            return _JobOutcome((*results, _report_run(job, error)), is_complete=False)
-        return _JobOutcome(tuple(results))
+            return _fail(job, error, results)
+        return FinishedJob(job, tuple(results))
 
     def _run(self, job: StressJob) -> Iterator[CheckResult]:
         if job.method and (reason := unavailable_reason(job.method)):
@@ -181,9 +171,10 @@ class _SectionWork:
         return self._method
 
 
-def _report_run(job: StressJob, error: BaseException) -> CheckResult:
-    """The failure of a section that an exception ended."""
-    return report_exception(job.method, RUN, error, "correct the line that raised")
+def _fail(job: StressJob, error: BaseException, results: Sequence[CheckResult] = ()) -> FinishedJob:
+    """A job that an exception ended after some results."""
+    failure = report_exception(job.method, RUN, error, "correct the line that raised")
+    return FinishedJob(job, (*results, failure), is_complete=False)
 
 
 def result_row(job: StressJob, result: CheckResult) -> dict[str, Any]:

@@ -40,6 +40,10 @@ VERDICT_NAMES = {
     Verdict.SKIPPED: "skipped",
 }
 BAD_PIXEL = "bad-pixel"  # the section that plants one bad pixel per test
+COLUMNS = (
+    *("method", "section", "test", "verdict", "figure", "unit", "good", "fair"),
+    *("found", "remedy"),
+)  # of the tables
 PIXELS = "pixels"  # unit of the figure of these tests: the pixels that it changed
 
 
@@ -125,15 +129,11 @@ def write_tables(
         for each in finished
         for result in each.results
     ]
-    columns = [
-        *("method", "section", "test", "verdict", "figure", "unit", "good", "fair"),
-        *("found", "remedy"),
-    ]
     with (
         paths.atomic_write(table) as unfinished,
         unfinished.open("w", newline="", encoding="utf-8") as file,
     ):
-        writer = csv.DictWriter(file, columns)
+        writer = csv.DictWriter(file, COLUMNS)
         writer.writeheader()
         writer.writerows(
             {name: "" if value != value else value for name, value in row.items()} for row in rows

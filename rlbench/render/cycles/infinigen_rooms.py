@@ -59,7 +59,6 @@ REQUIREMENTS = (  # Infinigen's own, but for scikit-image, whose releases below 
 )
 KINDS = ("LivingRoom", "Kitchen", "Bedroom", "Bathroom", "DiningRoom")
 SIX_ROOMS = "LivingRoom:1,Kitchen:2,Bedroom:3,Bathroom:4,DiningRoom:5,LivingRoom:6"
-LOG_TAIL_LINES = 12  # in error messages
 FOV = 65.0  # horizontal, degrees
 PACE = (0.01, 0.04)  # metres per frame
 TURN = 1.0  # degrees per frame, at most, to either side
@@ -172,7 +171,7 @@ def generate_room(python: Path, room: Room) -> Path:
         _run(command, log, f"generating {room.name}", packages)
         scene = output / "scene.blend"
         if not scene.is_file():
-            raise InfinigenError(f"generating {room.name} wrote no {scene}{_log_tail(log)}")
+            raise InfinigenError(f"generating {room.name} wrote no {scene}{process.log_tail(log)}")
         scene.replace(room.blend)
         shutil.rmtree(output)
     return room.blend
@@ -205,12 +204,7 @@ def _run(command: Sequence[str], log: Path, task: str, folder: Path | None = Non
             command, stdin=subprocess.DEVNULL, stdout=stream, stderr=subprocess.STDOUT, cwd=folder
         ).returncode
     if code:
-        raise InfinigenError(f"{task} ended with exit code {code}{_log_tail(log)}")
-
-
-def _log_tail(log: Path) -> str:
-    lines = log.read_text(errors="replace").splitlines()[-LOG_TAIL_LINES:]
-    return f". The end of {log}:" + "".join(f"\n  {line}" for line in lines)
+        raise InfinigenError(f"{task} ended with exit code {code}{process.log_tail(log)}")
 
 
 def main(arguments: Sequence[str] | None = None) -> None:

@@ -32,6 +32,7 @@ __all__ = [
     "image_seed",
     "inspect_job",
     "interpreter",
+    "log_tail",
     "render_job",
     "wander_job",
 ]
@@ -43,7 +44,7 @@ PARAMETERS = {"max_bounces": int, "world": float, "start": int, "threads": int} 
 PYTHON_VARIABLE = "RLBENCH_CYCLES_PYTHON"  # the Python that has bpy; default this one
 WORKER = Path(__file__).parent / "worker" / "worker.py"
 TESTED_BPY_VERSION = "4.5.15"  # of bpy, for which settings and passes were measured
-LOG_TAIL_LINES = 12  # of Blender's log, in error messages
+LOG_TAIL_LINES = 12  # of a log, in error messages
 INSTALL_HINT = (
     f"pip install 'rlbench[cycles]' into a Python 3.11, or `python3.11 -m venv cycles && "
     f"cycles/bin/pip install bpy=={TESTED_BPY_VERSION}` and {PYTHON_VARIABLE}=cycles/bin/python"
@@ -260,13 +261,13 @@ def _rejection_message(event: Mapping[str, Any], log: Path) -> str:
         return f"Cycles needs bpy, which {interpreter()} does not have ({message}): {INSTALL_HINT}"
     if event.get("kind") == "job":
         return f"Blender: {message}"
-    return f"the Cycles worker failed: {message}{_log_tail(log)}"
+    return f"the Cycles worker failed: {message}{log_tail(log)}"
 
 
 def _exit_message(code: int, log: Path) -> str:
     """Why the process ended too early, as far as its exit code tells."""
     if code >= 0:
-        return f"Blender's process ended with exit code {code} before it was done{_log_tail(log)}"
+        return f"Blender's process ended with exit code {code} before it was done{log_tail(log)}"
     name = signal.Signals(-code).name
     reason = {
         "SIGKILL": "it was killed, by a user or because the machine ran out of memory",
@@ -274,10 +275,11 @@ def _exit_message(code: int, log: Path) -> str:
         "SIGABRT": "it aborted, often because it ran out of memory",
     }.get(name, "it was stopped")
     hint = "finished images are kept; the same command resumes"
-    return f"Blender's process ended by {name}: {reason}; {hint}{_log_tail(log)}"
+    return f"Blender's process ended by {name}: {reason}; {hint}{log_tail(log)}"
 
 
-def _log_tail(log: Path) -> str:
+def log_tail(log: Path) -> str:
+    """The end of a log, as the end of an error message."""
     lines = log.read_text(errors="replace").splitlines()[-LOG_TAIL_LINES:] if log.is_file() else []
     text = "".join(f"\n  {line}" for line in lines)
     return f". The end of {log}:{text}" if lines else f". It wrote nothing to {log}"

@@ -68,6 +68,31 @@ class Stateless(Correct):
         return samples.mean + 0 * gbuffer.albedo, None
 
 
+@dataclass(frozen=True)
+class Edited(Correct):
+    """Changes the image of the correct method, but not its state."""
+
+    edit: Callable[..., Any] = lambda image, samples: image
+
+    def denoise(self, gbuffer, samples, state):
+        image, state = super().denoise(gbuffer, samples, state)
+        return self.edit(image, samples), state
+
+
+def edited(edit):
+    return lambda traits: Edited(traits, edit=edit)
+
+
+def mix_precisions(image, samples):
+    """Under autocast a matrix product is bfloat16, and the image it is mixed with float32."""
+    return torch.lerp(image, image @ torch.eye(image.shape[-1]), 0.5)
+
+
+def divide_by_zero(image, samples):
+    """At one size only; otherwise it would fail without samples or motion as well."""
+    return image / (0.0 if samples.counts.shape[-1] == SIZE.w else 1.0)
+
+
 class WithoutPadding(Correct):
     def denoise(self, gbuffer, samples, state):
         coarse = F.avg_pool2d(samples.mean, 2)
@@ -93,21 +118,6 @@ class ImageAlone(Correct):
         return super().denoise(gbuffer, samples, state)[0]
 
 
-class DoublePrecision(Correct):
-    def denoise(self, gbuffer, samples, state):
-        image, state = super().denoise(gbuffer, samples, state)
-        return image.double(), state
-
-
-class NotFinite(Correct):
-    """At one size only; otherwise it would fail without samples or motion as well."""
-
-    def denoise(self, gbuffer, samples, state):
-        image, state = super().denoise(gbuffer, samples, state)
-        bad = samples.counts.shape[-1] == SIZE.w
-        return image / (0.0 if bad else 1.0), state
-
-
 class NegativeDensity(Correct):
     def plan(self, gbuffer, samples, state):
         return super().plan(gbuffer, samples, state) - 0.3
@@ -116,14 +126,6 @@ class NegativeDensity(Correct):
 class NoDensity(Correct):
     def plan(self, gbuffer, samples, state):
         super().plan(gbuffer, samples, state)
-
-
-class MixesPrecisions(Correct):
-    """Under autocast a matrix product is bfloat16, and the image it is mixed with float32."""
-
-    def denoise(self, gbuffer, samples, state):
-        image, state = super().denoise(gbuffer, samples, state)
-        return torch.lerp(image, image @ torch.eye(image.shape[-1]), 0.5), state
 
 
 class ReadsUndeclaredInput(Correct):
@@ -152,12 +154,6 @@ class WritesState(Correct):
         return result
 
 
-class ImageWithGraph(Correct):
-    def denoise(self, gbuffer, samples, state):
-        image, state = super().denoise(gbuffer, samples, state)
-        return image * torch.ones(1, requires_grad=True), state
-
-
 class StateWithGraph(Correct):
     def plan(self, gbuffer, samples, state):
         return super().plan(gbuffer, samples, None if state is None else state["image"][0].detach())
@@ -167,23 +163,10 @@ class StateWithGraph(Correct):
         return image.detach(), {"image": [image * torch.ones(1, requires_grad=True)]}
 
 
-class DividesByCounts(Correct):
-    def denoise(self, gbuffer, samples, state):
-        share = samples.counts / samples.counts.sum()
-        image, state = super().denoise(gbuffer, samples, state)
-        return image + 0 * share, state
-
-
 class NeedsEightSamples(Correct):
     def denoise(self, gbuffer, samples, state):
         samples.radiance[:, 7]
         return super().denoise(gbuffer, samples, state)
-
-
-class Unseeded(Correct):
-    def denoise(self, gbuffer, samples, state):
-        image, state = super().denoise(gbuffer, samples, state)
-        return image + 1e-3 * torch.rand_like(image), state
 
 
 class CountsCalls(Correct):
@@ -214,14 +197,6 @@ class ReadsReference(Correct):
 class ReadsPool(ReadsReference):
     def secret(self, frame):
         return frame.pool.radiance.mean(1)
-
-
-class NormalisesImageByBatch(Correct):
-    """Divides by the brightest pixel of the whole batch."""
-
-    def denoise(self, gbuffer, samples, state):
-        image, state = super().denoise(gbuffer, samples, state)
-        return image / image.amax().clamp_min(0.1), state
 
 
 class NormalisesDensityByBatch(Correct):
@@ -329,9 +304,9 @@ FAULTS = {
     "fails at odd sizes": Fault("odd_size", WithoutPadding),
     "crops odd sizes": Fault("odd_size", Crops),
     "pads by more than the frame": Fault("tiny_size", LargePadding),
-    "double precision": Fault("image", DoublePrecision),
-    "NaN or infinite image": Fault("image", NotFinite),
-    "mixes precisions": Fault("half_precision", MixesPrecisions),
+    "double precision": Fault("image", edited(lambda image, samples: image.double())),
+    "NaN or infinite image": Fault("image", edited(divide_by_zero)),
+    "mixes precisions": Fault("half_precision", edited(mix_precisions)),
     "a negative density": Fault("density", NegativeDensity),
     "no density": Fault("density", NoDensity),
     "adapts without declaring it": Fault("uniform", Correct, replace(CORRECT, adaptive=False)),
@@ -342,7 +317,9 @@ FAULTS = {
     "writes to samples": Fault("in_place", WritesSamples),
     "writes to the G-buffer": Fault("in_place", WritesGBuffer),
     "writes to its state": Fault("in_place", WritesState),
-    "an image with a graph": Fault("autograd", ImageWithGraph),
+    "an image with a graph": Fault(
+        "autograd", edited(lambda image, samples: image * torch.ones(1, requires_grad=True))
+    ),
     "a state with a graph": Fault(
         "autograd", StateWithGraph, replace(CORRECT, inputs=frozenset({"albedo", "motion"}))
     ),
@@ -351,13 +328,20 @@ FAULTS = {
     ),
     "max_samples below its budgets": Fault("spp_range", Correct, replace(CORRECT, max_samples=4)),
     "min_samples above its budgets": Fault("odd_size", Correct, replace(CORRECT, min_samples=1)),
-    "divides by sample counts": Fault("zero_samples", DividesByCounts),
+    "divides by sample counts": Fault(
+        "zero_samples",
+        edited(lambda image, samples: image + 0 * samples.counts / samples.counts.sum()),
+    ),
     "needs eight samples in the pool": Fault("small_pool", NeedsEightSamples),
-    "random numbers without a seed": Fault("determinism", Unseeded),
+    "random numbers without a seed": Fault(
+        "determinism", edited(lambda image, samples: image + 1e-3 * torch.rand_like(image))
+    ),
     "counts its calls": Fault("determinism", CountsCalls),
     "reads the reference": Fault("leak", ReadsReference),
     "reads undrawn samples": Fault("leak", ReadsPool),
-    "normalises images over a batch": Fault("batch", NormalisesImageByBatch),
+    "normalises images over a batch": Fault(
+        "batch", edited(lambda image, samples: image / image.amax().clamp_min(0.1))
+    ),
     "normalises densities over a batch": Fault("batch", NormalisesDensityByBatch),
     "shares memory between clips": Fault("interleaved", SharedMemory),
     "needs motion": Fault("static", NeedsMotion),

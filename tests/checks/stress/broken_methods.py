@@ -111,103 +111,70 @@ class TrustsMotion(Accumulate):
         return warped[:, :3], warped[:, 3:]
 
 
-class DependsOnExposure(Mean):
-    """Clamps samples at 10."""
-
-    def denoise(self, gbuffer, samples, state):
-        return replace(samples, radiance=samples.radiance.clamp_max(10.0)).mean, None
-
-
-class AddsLight(Mean):
-    """Adds a little light, which is visible in black."""
-
-    def denoise(self, gbuffer, samples, state):
-        return samples.mean + 0.01, None
+def stateless(name: str, image, **traits) -> Mean:
+    """A method without state; `image` makes its image of the G-buffer and the samples."""
+    denoise = {"denoise": lambda self, gbuffer, samples, state: (image(gbuffer, samples), None)}
+    return type(name, (Mean,), denoise)(Traits(**traits))
 
 
-class RejectsBlue(Mean):
-    """Returns black where blue is above red, as in the sky."""
-
-    def denoise(self, gbuffer, samples, state):
-        red, _, blue = samples.mean.split(1, 1)
-        return samples.mean.where(blue <= red, 0.0), None
+def columns(samples):
+    return torch.arange(samples.mean.shape[-1])
 
 
-class PrefersRight(Mean):
-    """Returns black in the left half."""
-
-    def denoise(self, gbuffer, samples, state):
-        w = samples.mean.shape[-1]
-        return samples.mean * (torch.arange(w) >= w // 2), None
+def rows(samples):
+    return torch.arange(samples.mean.shape[-2])[:, None]
 
 
-class PrefersTop(Mean):
-    """Returns black in the lower half."""
-
-    def denoise(self, gbuffer, samples, state):
-        h = samples.mean.shape[-2]
-        return samples.mean * (torch.arange(h) < h // 2)[:, None], None
+def reject_blue(gbuffer, samples):
+    red, _, blue = samples.mean.split(1, 1)
+    return samples.mean.where(blue <= red, 0.0)
 
 
-class Tiles(Mean):
-    """Returns black in every second tile of 16 pixels."""
-
-    def denoise(self, gbuffer, samples, state):
-        column = torch.arange(samples.mean.shape[-1]) // 16 % 2
-        return samples.mean * column, None
-
-
-class FirstSample(Mean):
-    """Ignores all samples but the first."""
-
-    def denoise(self, gbuffer, samples, state):
-        return samples.radiance[:, 0], None
-
-
-class DividesByBatch(Mean):
-    """Normalises by the brightest pixel of the batch."""
-
-    def denoise(self, gbuffer, samples, state):
-        return samples.mean / samples.mean.amax(), None
-
-
-class Unseeded(Mean):
-    """Draws random numbers without a seed."""
-
-    def denoise(self, gbuffer, samples, state):
-        return samples.mean + 0.01 * torch.rand_like(samples.mean), None
-
-
-class DependsOnThreads(Mean):
-    """Computes something else with each number of threads."""
-
-    def denoise(self, gbuffer, samples, state):
-        return samples.mean / torch.get_num_threads(), None
-
-
-class Cancels(Mean):
-    """Loses all digits of float32 by adding and subtracting a large number."""
-
-    def denoise(self, gbuffer, samples, state):
-        return (samples.mean + 3e7) - 3e7, None
-
-
-class CancelsInHalf(Mean):
+def amplify_rounding(gbuffer, samples):
     """A matrix product, which autocast rounds, amplifies its rounding."""
-
-    def denoise(self, gbuffer, samples, state):
-        image = samples.mean
-        rounded = image @ torch.eye(image.shape[-1]).to(image)
-        return image + 200 * (rounded.to(image) - image), None
+    image = samples.mean
+    rounded = image @ torch.eye(image.shape[-1]).to(image)
+    return image + 200 * (rounded.to(image) - image)
 
 
-@dataclass(frozen=True)
-class NeedsFloat32(Mean):
-    """Multiplies by a float32 matrix that it creates itself, which fails in float64."""
-
-    def denoise(self, gbuffer, samples, state):
-        identity = torch.eye(samples.mean.shape[-1], dtype=torch.float32)
-        return samples.mean @ identity, None
+STATELESS = {
+    method.__class__.__name__: method
+    for method in (
+        stateless(
+            "DependsOnExposure",
+            lambda g, s: replace(s, radiance=s.radiance.clamp_max(10.0)).mean,
+        ),
+        stateless("AddsLight", lambda g, s: s.mean + 0.01),  # visible in black
+        stateless("RejectsBlue", reject_blue),  # black where blue is above red, as in the sky
+        stateless("PrefersRight", lambda g, s: s.mean * (columns(s) >= len(columns(s)) // 2)),
+        stateless("PrefersTop", lambda g, s: s.mean * (rows(s) < len(rows(s)) // 2)),
+        stateless("Tiles", lambda g, s: s.mean * (columns(s) // 16 % 2)),  # every second is black
+        stateless("FirstSample", lambda g, s: s.radiance[:, 0]),
+        stateless("DividesByBatch", lambda g, s: s.mean / s.mean.amax()),
+        stateless("Unseeded", lambda g, s: s.mean + 0.01 * torch.rand_like(s.mean)),
+        stateless("DependsOnThreads", lambda g, s: s.mean / torch.get_num_threads()),
+        stateless("Cancels", lambda g, s: (s.mean + 3e7) - 3e7),  # all digits of float32
+        stateless("CancelsInHalf", amplify_rounding),
+        stateless(  # fails in float64
+            "NeedsFloat32", lambda g, s: s.mean @ torch.eye(s.mean.shape[-1], dtype=torch.float32)
+        ),
+        stateless(  # the brightest sample sets the exposure of the whole image
+            "ExposedByMaximum", lambda g, s: s.mean / s.mean.amax((1, 2, 3), keepdim=True)
+        ),
+        stateless("WideBlur", lambda g, s: F.avg_pool2d(s.mean, 25, 1, 12)),
+        stateless(
+            "DividingByDepth",
+            lambda g, s: s.mean * g.depth.nan_to_num(posinf=0).mean(),
+            inputs=frozenset({"depth"}),
+        ),
+        stateless(  # albedo is in the samples already
+            "MisusesAlbedo", lambda g, s: 2 * s.mean * g.albedo, inputs=frozenset({"albedo"})
+        ),
+        stateless(
+            "IgnoresAlbedo", lambda g, s: s.mean + 0 * g.albedo, inputs=frozenset({"albedo"})
+        ),
+    )
+}
 
 
 @dataclass(frozen=True)
@@ -231,34 +198,6 @@ class RejectsBlackAlbedo(CopiesAlbedo):
         return super().denoise(gbuffer, samples, state)
 
 
-class MisusesAlbedo(CopiesAlbedo):
-    """Multiplies by albedo, which the samples contain already."""
-
-    def denoise(self, gbuffer, samples, state):
-        return 2 * samples.mean * gbuffer.albedo, None
-
-
-class IgnoresAlbedo(CopiesAlbedo):
-    """Reads albedo without effect."""
-
-    def denoise(self, gbuffer, samples, state):
-        return samples.mean + 0 * gbuffer.albedo, None
-
-
-class ExposedByMaximum(Mean):
-    """The brightest sample sets the exposure of the whole image."""
-
-    def denoise(self, gbuffer, samples, state):
-        return samples.mean / samples.mean.amax((1, 2, 3), keepdim=True), None
-
-
-class WideBlur(Mean):
-    """A bad sample is spread over 25 x 25 pixels, for one frame."""
-
-    def denoise(self, gbuffer, samples, state):
-        return F.avg_pool2d(samples.mean, 25, 1, 12), None
-
-
 @dataclass(frozen=True)
 class AveragesBlindly(Mean):
     """An exponential average that never looks at what it keeps."""
@@ -271,16 +210,6 @@ class AveragesBlindly(Mean):
     def denoise(self, gbuffer, samples, state):
         image = torch.lerp(state, samples.mean, 0.5)
         return image, image
-
-
-@dataclass(frozen=True)
-class DividingByDepth(Mean):
-    """A depth is used as a divisor of a sum over the image."""
-
-    traits: Traits = Traits(inputs=frozenset({"depth"}))
-
-    def denoise(self, gbuffer, samples, state):
-        return samples.mean * gbuffer.depth.nan_to_num(posinf=0).mean(), None
 
 
 @dataclass(frozen=True)

@@ -12,6 +12,7 @@ from rlbench.checks.stress import bad_pixel
 from rlbench.checks.stress.faults import VALUES, Blast, compare_frames, plant_in_state
 from rlbench.frames import Size
 from tests.checks.stress import broken_methods as broken
+from tests.checks.stress.broken_methods import STATELESS
 
 PASSED, WARNING, FAILED = Verdict.PASSED, Verdict.WARNING, Verdict.FAILED
 
@@ -27,13 +28,13 @@ def test_a_mean_contains_every_fault_and_needs_the_suite_for_two_of_three():
 
 
 def test_an_exposure_that_one_pixel_moves_is_caught():
-    found = verdicts(broken.ExposedByMaximum())
+    found = verdicts(STATELESS["ExposedByMaximum"])
     assert found["sample-1e30"] is found["sample-65504"] is WARNING
     assert found["sample-nan"] is PASSED  # black
 
 
 def test_a_fault_that_spreads_for_one_frame_is_degraded_and_not_failed():
-    assert verdicts(broken.WideBlur())["sample-1e5"] is WARNING
+    assert verdicts(STATELESS["WideBlur"])["sample-1e5"] is WARNING
 
 
 def test_a_state_that_keeps_bad_values_fails():
@@ -43,7 +44,7 @@ def test_a_state_that_keeps_bad_values_fails():
 
 
 def test_a_buffer_that_moves_the_whole_image_is_caught():
-    found = verdicts(broken.DividingByDepth())
+    found = verdicts(STATELESS["DividingByDepth"])
     assert found["depth-1e30"] is WARNING
     assert found["depth-minus-one"] is PASSED  # repaired by the core
 

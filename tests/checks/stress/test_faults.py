@@ -25,7 +25,7 @@ from rlbench.clips.procedural.clip import procedural_clip
 from rlbench.frames import Samples, Size
 from rlbench.ops.reprojection import reproject
 from tests.checks.stress import broken_methods as broken
-from tests.checks.stress.broken_methods import run_section, verdicts
+from tests.checks.stress.broken_methods import STATELESS, run_section, verdicts
 
 CPU = torch.device("cpu")
 SOUND = [
@@ -42,18 +42,22 @@ FAULTS = [  # section, method, tests that find its fault
     (long_runs, broken.GrowsMemory(), ["memory-growth"]),
     (long_runs, broken.Overflows(), ["state-magnitude"]),
     (lying_buffers, broken.CopiesAlbedo(), ["albedo-noised"]),
-    (lying_buffers, broken.MisusesAlbedo(), ["albedo-dropped", "albedo-negated", "albedo-worth"]),
-    (precision, broken.Cancels(), ["float32", "float32-worst-pixel"]),
-    (precision, broken.CancelsInHalf(), ["bf16", "bf16-worst-pixel"]),
-    (precision, broken.Unseeded(), ["rerun"]),
-    (precision, broken.DividesByBatch(), ["batch"]),
-    (transformations, broken.DependsOnExposure(), ["exposure-1e+04"]),
-    (transformations, broken.AddsLight(), ["exposure-1e-04", "black"]),
-    (transformations, broken.RejectsBlue(), ["channels-permuted"]),
-    (transformations, broken.PrefersRight(), ["flip-horizontal"]),
-    (transformations, broken.PrefersTop(), ["flip-vertical", "constant", "sky-only"]),
-    (transformations, broken.Tiles(), ["sub-tile-shift"]),
-    (transformations, broken.FirstSample(), ["sample-order"]),
+    (
+        lying_buffers,
+        STATELESS["MisusesAlbedo"],
+        ["albedo-dropped", "albedo-negated", "albedo-worth"],
+    ),
+    (precision, STATELESS["Cancels"], ["float32", "float32-worst-pixel"]),
+    (precision, STATELESS["CancelsInHalf"], ["bf16", "bf16-worst-pixel"]),
+    (precision, STATELESS["Unseeded"], ["rerun"]),
+    (precision, STATELESS["DividesByBatch"], ["batch"]),
+    (transformations, STATELESS["DependsOnExposure"], ["exposure-1e+04"]),
+    (transformations, STATELESS["AddsLight"], ["exposure-1e-04", "black"]),
+    (transformations, STATELESS["RejectsBlue"], ["channels-permuted"]),
+    (transformations, STATELESS["PrefersRight"], ["flip-horizontal"]),
+    (transformations, STATELESS["PrefersTop"], ["flip-vertical", "constant", "sky-only"]),
+    (transformations, STATELESS["Tiles"], ["sub-tile-shift"]),
+    (transformations, STATELESS["FirstSample"], ["sample-order"]),
     (transformations, broken.Accumulate(), ["flash", "flash-recovery", "teleport"]),
     (transformations, broken.TrustsMotion(), ["teleport-marked"]),
 ]
@@ -85,7 +89,7 @@ def test_the_full_form_finds_drift_in_a_moving_clip_and_in_bf16():
 
 @pytest.mark.slow
 def test_the_full_form_finds_a_dependence_on_threads():
-    found = [verdicts(precision, m, False) for m in (broken.DependsOnThreads(), broken.Mean())]
+    found = [verdicts(precision, m, False) for m in (STATELESS["DependsOnThreads"], broken.Mean())]
     assert [each["threads"] for each in found] == [Verdict.FAILED, Verdict.PASSED]
 
 
@@ -152,7 +156,7 @@ def test_a_method_that_trusts_motion_blindly_loses_by_wrong_motion():
 
 
 def test_a_buffer_that_is_read_and_ignored_costs_and_gains_nothing():
-    found = run_section(lying_buffers, broken.IgnoresAlbedo())
+    found = run_section(lying_buffers, STATELESS["IgnoresAlbedo"])
     assert found["albedo-worth"].figure == 0.0
     assert found["albedo-dropped"].verdict is Verdict.PASSED
 
@@ -185,7 +189,7 @@ def test_noisy_buffers_are_legal(name):
 
 def test_a_method_that_fails_in_float64_is_skipped_with_the_reason():
     before = torch.get_num_threads(), torch.get_default_dtype()
-    results = run_section(precision, broken.NeedsFloat32())
+    results = run_section(precision, STATELESS["NeedsFloat32"])
     assert results["float32"].verdict is Verdict.SKIPPED
     assert "RuntimeError" in results["float32"].found
     assert "against float32" in results["bf16"].found
