@@ -171,4 +171,4 @@ def test_a_changed_file_is_rendered_again(room, change):
 def test_options_of_a_user_scene_are_refused_for_presets(tmp_path):
     result = CliRunner().invoke(app, ["render", "--camera", "orbit"])
     assert result.exit_code == 2
-    assert "No such option: --camera" in result.output
+    assert "--camera is for a scene FILE" in result.output
