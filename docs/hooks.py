@@ -49,9 +49,7 @@ def _commands() -> str:
     pages = []
     for name in group.list_commands(context):
         command = group.get_command(context, name)
-        if command.hidden:
-            continue
         with command.make_context(name, [], parent=context, resilient_parsing=True) as inner:
             inner.max_content_width = 100
-            pages.append(f"## rlbench {name}\n\n```text\n{command.get_help(inner)}\n```\n")
+            pages.append(f"## rlbench {name}\n\n```text\n{command.full_help(inner)}\n```\n")
     return "\n".join(pages)

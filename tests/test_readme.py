@@ -9,12 +9,12 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-import typer.main
 
 from docs.tables import fill_tables
 from rlbench import registry
 from rlbench.checks.conformance import MethodUnderTest, Verdict, run_checks
-from rlbench.cli.app import app
+from rlbench.cli.app import COMMANDS
+from rlbench.cli.command import load_command
 from rlbench.clips.procedural.clip import procedural_clip
 from rlbench.frames import Size
 from rlbench.run import run_clip
@@ -25,7 +25,7 @@ DOCS = sorted((ROOT / "docs").rglob("*.md"))
 PAGES = [README, *DOCS]
 GUIDES = [README, *(page for page in DOCS if page.parent.name in ("start", "how-to", "concepts"))]
 SEPARATORS = ("&&", "||", "|", ";")
-PROGRAM_OPTIONS = ("--help", "--version", "--install-completion", "--show-completion")
+PROGRAM_OPTIONS = ("--help", "--help-all", "--version", "--install-completion", "--show-completion")
 PACKAGES = "rlbench|baselines|methods|metrics|reports|tests|docs"
 
 page_id = pytest.mark.parametrize("page", PAGES, ids=lambda page: str(page.relative_to(ROOT)))
@@ -34,8 +34,7 @@ page_id = pytest.mark.parametrize("page", PAGES, ids=lambda page: str(page.relat
 @cache
 def click_commands() -> dict[str, Any]:
     """The commands of `rlbench`, by name."""
-    group: Any = typer.main.get_command(app)
-    return {name: command for name, command in group.commands.items() if not command.hidden}
+    return {name: load_command(name) for name in COMMANDS}
 
 
 def check_command(line: str) -> None:
@@ -59,7 +58,7 @@ def _check_arguments(words: list[str], line: str) -> None:
     assert name in click_commands(), f"no command {name}: {line}"
     parameters = click_commands()[name].params
     known = {option for each in parameters for option in (*each.opts, *each.secondary_opts)}
-    known |= {"-h", "--help", "-v", "--verbose", "-q", "--quiet"}
+    known |= {"-h", "--help", "--help-all", "-v", "--verbose", "-q", "--quiet"}
     unknown = [word for word in rest if re.match(r"--?[a-zA-Z]", word)]
     unknown = [word for word in unknown if word.partition("=")[0] not in known]
     assert not unknown, f"rlbench {name} has no option {unknown}: {line}"

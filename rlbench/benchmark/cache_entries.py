@@ -26,7 +26,7 @@ REMADE = {  # kind: what makes it again
     "kernels": "the next rendering",
     "probes": "the next rendering",
     "contact sheet": "make contact",
-    "Blender scenes": "rlbench render-scene",
+    "Blender scenes": "rlbench render",
     "scenes by others": "rlbench scenes get",
     "pins of scenes": "rlbench scenes pin",
 }

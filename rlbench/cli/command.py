@@ -16,7 +16,7 @@ from typing import Any
 import typer
 from typer.core import TyperCommand, TyperGroup
 
-from rlbench.cli.options import complete_methods
+from rlbench.cli.options import EXECUTION, GROUPS, OTHER, complete_methods
 from rlbench.errors import RlbenchError
 from rlbench.registry.near_names import suggest
 from rlbench.registry.plugin_code import exits_as_errors
@@ -24,7 +24,6 @@ from rlbench.system.paths import FolderNotWritableError, WriteError, write_error
 
 __all__ = ["Command", "CommandGroup", "load_command", "what_is_kept"]
 
-OTHER = "Options"  # title of the options that belong to no group
 SHORT_HELP = 8  # options that -h shows
 NEARLY_ALL = 11  # as many options are all shown
 HELP_ALL = "--help-all"
@@ -81,7 +80,7 @@ class Command(TyperCommand):
             sections.setdefault(title, []).append(record)
         if is_short:
             sections[OTHER].append((HELP_ALL, f"Show all {len(options)} options."))
-        for title in sorted(filter(sections.get, sections), key=lambda title: title == OTHER):
+        for title in sorted(filter(sections.get, sections), key=_rank):
             with formatter.section(title):
                 formatter.write_dl(sections[title])
 
@@ -213,6 +212,17 @@ class CommandGroup(TyperGroup):
                 remedy = f": {write_remedy(error)}"
             typer.secho(f"error: {error}{remedy}", fg="red", err=True)
             raise SystemExit(2) from error
+
+
+def _rank(title: str) -> int:
+    """The place of a group in the help: arguments first, and groups of one command in the middle.
+
+    >>> sorted(["Options", "Output", "Picture", "Arguments"], key=_rank)
+    ['Arguments', 'Picture', 'Output', 'Options']
+    """
+    if title == "Arguments":
+        return -1
+    return GROUPS.index(title if title in GROUPS else EXECUTION)
 
 
 def _show_all(ctx: Any, args: list[str]) -> None:

@@ -16,7 +16,8 @@ from rlbench.cli import arguments
 from rlbench.cli.arguments import Budgets, Seeds, WeightsChoice
 
 METHODS, CLIPS, MEASUREMENT = "Methods", "Clips", "Measurement"  # titles of groups
-TRAINING, RENDERING, EXECUTION, OUTPUT = "Training", "Rendering", "Execution", "Output"
+TRAINING, EXECUTION, OUTPUT, OTHER = "Training", "Execution", "Output", "Options"
+GROUPS = (METHODS, CLIPS, MEASUREMENT, TRAINING, EXECUTION, OUTPUT, OTHER)  # in the help
 
 DEFAULT_SPP = Budgets((0.5, 1.0, 2.0, 4.0))
 DEFAULT_SEEDS = Seeds((0,))

@@ -225,7 +225,8 @@ def _refuse_options_of_the_other(context: typer.Context, file: Path | None) -> N
     """Raise OptionError for options of scene files without one, and of presets with one."""
     if file is not None and not file.is_file():
         raise typer.BadParameter(
-            f"there is no scene file '{file}'. Scenes of a preset are named by --scenes"
+            f"there is no scene file '{file}'. Scenes of a preset are named by --scenes",
+            param_hint="'FILE'",
         )
     other, of_what = (OF_FILES, "a scene FILE") if file is None else (OF_PRESETS, "presets")
     given = [name for name in other if context.params[name]]

@@ -74,7 +74,7 @@ def describe_traits(row_name: str) -> dict[str, Any]:
 
     method = RowName.parse(row_name).method
     try:
-        family, variant = registry.load_family(method), registry.get_variant(method)
+        family, variant = registry.find_method(method)
     except registry.PluginError:
         return {}
     traits = variant.traits

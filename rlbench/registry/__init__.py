@@ -8,9 +8,9 @@ from rlbench.registry.discovery import (
     module_file,
     resolve,
 )
-from rlbench.registry.entry import PluginEntry
 from rlbench.registry.lookup import (
     failure_reason,
+    find_method,
     get_variant,
     import_error,
     list_plugins,
@@ -20,11 +20,11 @@ from rlbench.registry.lookup import (
     load_plugin,
     load_run_metrics,
 )
-from rlbench.registry.method_code import method_code_hash
 from rlbench.registry.methods import (
     expand,
     is_trainable,
     load_method,
+    method_code_hash,
     shipped_weights,
     training_task,
     untrainable_reason,
@@ -32,6 +32,7 @@ from rlbench.registry.methods import (
 )
 from rlbench.registry.plugin_code import PluginExitError, exits_as_errors
 from rlbench.registry.plugin_files import (
+    PluginEntry,
     clear_plugins,
     plugin_file,
     plugin_file_methods,
@@ -50,6 +51,7 @@ __all__ = [
     "exits_as_errors",
     "expand",
     "failure_reason",
+    "find_method",
     "load_family",
     "import_error",
     "import_failure",

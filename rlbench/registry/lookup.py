@@ -9,13 +9,14 @@ from typing import Any
 from rlbench.errors import PluginError
 from rlbench.family import Family, Traits, Variant
 from rlbench.registry.discovery import list_entries, module_file
-from rlbench.registry.entry import PluginEntry
 from rlbench.registry.failure import describe_failure
 from rlbench.registry.near_names import unknown_name
 from rlbench.registry.plugin_code import exits_as_errors
+from rlbench.registry.plugin_files import PluginEntry
 from rlbench.registry.stand_ins import find_stand_in
 
 __all__ = [
+    "find_method",
     "failure_reason",
     "load_family",
     "import_error",
@@ -109,17 +110,22 @@ def load_family(name: str) -> Family:
     return plugin
 
 
-def get_variant(name: str) -> Variant:
-    """The declared properties of a method, given as `family` or `family/variant`.
+def find_method(name: str) -> tuple[Family, Variant]:
+    """The family and the variant of a method, given as `family` or `family/variant`.
 
     Raises PluginError if its family has no such variant.
     """
-    parent = load_family(name)
+    family = load_family(name)
     key = name.partition("/")[2]
-    if key not in parent.variants or name not in parent.method_names():
-        problem = f"'{parent.name}' has no variant '{key}'"
-        raise PluginError(unknown_name(problem, name, parent.method_names(), "; it has"))
-    return parent.variants[key]
+    if key not in family.variants or name not in family.method_names():
+        problem = f"'{family.name}' has no variant '{key}'"
+        raise PluginError(unknown_name(problem, name, family.method_names(), "; it has"))
+    return family, family.variants[key]
+
+
+def get_variant(name: str) -> Variant:
+    """The declared properties of a method. Raises PluginError as `find_method`."""
+    return find_method(name)[1]
 
 
 def load_run_metrics() -> dict[str, Any]:

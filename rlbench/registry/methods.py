@@ -4,21 +4,23 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
+from hashlib import sha256
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from rlbench.errors import PluginError
 from rlbench.registry.discovery import list_entries, module_file, plugin_file_error, resolve
 from rlbench.registry.lookup import (
+    find_method,
     get_variant,
     import_error,
     list_plugins,
     load_family,
 )
 from rlbench.registry.plugin_code import exits_as_errors
-from rlbench.registry.plugin_files import file_entries, plugin_files
+from rlbench.registry.plugin_files import file_entries, plugin_file, plugin_files
 from rlbench.registry.stand_ins import import_failure, stand_ins
-from rlbench.system import provenance
+from rlbench.system import code_hash, provenance
 
 if TYPE_CHECKING:
     import torch
@@ -29,6 +31,7 @@ __all__ = [
     "expand",
     "is_trainable",
     "load_method",
+    "method_code_hash",
     "shipped_weights",
     "training_task",
     "untrainable_reason",
@@ -57,12 +60,12 @@ def load_method(
 
     if failure := import_failure(name):
         raise failure
-    declared = get_variant(name)
+    family, declared = find_method(name)
     if missing := " ".join(provenance.missing_packages(declared.requires)):
         raise PluginError(
             f"'{name}' needs {missing}, which is not installed: pip install {missing}"
         )
-    build = load_family(name).build
+    build = family.build
     with exits_as_errors():
         instance = resolve(build)(name.partition("/")[2], torch.device(device), weights)
     if not isinstance(instance, Method):
@@ -89,9 +92,9 @@ def shipped_weights(name: str) -> Path:
 
     Raises PluginError if there is no such module.
     """
-    name = get_variant(name).weights_from or name
-    parent = load_family(name)
-    return module_file(parent.build).parent / "cards" / parent.weights_file(name.partition("/")[2])
+    owner = get_variant(name).weights_from or name
+    family = load_family(owner)
+    return module_file(family.build).parent / "cards" / family.weights_file(owner.partition("/")[2])
 
 
 def training_task(name: str, device: torch.device | str = "cpu", seed: int = 0) -> Any:
@@ -107,11 +110,33 @@ def training_task(name: str, device: torch.device | str = "cpu", seed: int = 0) 
         return resolve(load_family(name).train)(name.partition("/")[2], torch.device(device), seed)
 
 
+def method_code_hash(method: str) -> str:
+    """Hash of what builds a method, of what this imports, and of the core; 16 hex digits.
+
+    Imports from packages of other methods count too. Empty where the code cannot be found; building
+    the method then reports the reason.
+    """
+    module = load_family(method).build.partition(":")[0]
+    try:
+        file = plugin_file(module)
+        if file is None:
+            return code_hash.code_hash(code_hash.import_closure(module, _method_packages()))
+        imports = code_hash.code_hash(code_hash.closure_of_file(file, _method_packages()))
+    except LookupError:
+        return ""
+    return sha256(imports.encode() + file.read_bytes()).hexdigest()[:16]
+
+
+def _method_packages() -> set[str]:
+    """Top-level packages of installed methods: one method may use parts of another."""
+    return {entry.target.partition(".")[0] for entry in list_entries("methods").values()}
+
+
 def is_trainable(name: str) -> bool:
     """Whether a method has weights of its own, not published ones, and a function to train them."""
-    declared = get_variant(name)
+    family, declared = find_method(name)
     has_own_weights = declared.learned and declared.weights_from is None
-    return has_own_weights and not declared.trained_by and bool(load_family(name).train)
+    return has_own_weights and not declared.trained_by and bool(family.train)
 
 
 def untrainable_reason(name: str) -> str | None:
@@ -122,10 +147,11 @@ def untrainable_reason(name: str) -> str | None:
     """
     if is_trainable(name):
         return None
-    if not (author := get_variant(name).trained_by):
+    family, declared = find_method(name)
+    if not (author := declared.trained_by):
         return "has nothing to train"
     reason = f"has weights that {author} trained and published, so rlbench does not train it"
-    trainable = ", ".join(filter(is_trainable, load_family(name).method_names()))
+    trainable = ", ".join(filter(is_trainable, family.method_names()))
     return f"{reason}. Rows of its family to train: {trainable}" if trainable else reason
 
 

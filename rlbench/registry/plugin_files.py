@@ -5,17 +5,19 @@ from __future__ import annotations
 import ast
 import importlib.util
 import sys
+from collections.abc import Callable
+from dataclasses import dataclass, field
 from functools import partial
 from hashlib import sha256
 from pathlib import Path
 from typing import Any
 
 from rlbench.errors import PluginError
-from rlbench.registry.entry import PluginEntry
 from rlbench.registry.failure import describe_failure
 from rlbench.registry.plugin_code import exits_as_errors
 
 __all__ = [
+    "PluginEntry",
     "clear_plugins",
     "file_entries",
     "import_file",
@@ -28,6 +30,16 @@ __all__ = [
 
 INIT = "__init__.py"
 _files: dict[str, Path] = {}  # plugin files by the name of their module, in the order given
+
+
+@dataclass(frozen=True)
+class PluginEntry:
+    """A plugin that is known by name and not yet imported."""
+
+    name: str
+    target: str  # module:attribute, or the path of a plugin file
+    origin: str  # the distribution, the variable or the file that brings it
+    load: Callable[[], Any] = field(compare=False, repr=False)
 
 
 def use_plugin(path: str | Path) -> None:

@@ -10,6 +10,7 @@ import typer
 from rlbench import registry
 from rlbench.cli import arguments
 from rlbench.cli.arguments import WeightsChoice
+from rlbench.cli.methods import expand_methods
 from rlbench.cli.verbosity import set_verbosity
 
 
@@ -114,7 +115,7 @@ def test_values_that_are_no_text_are_unchanged():
 def test_all_skips_a_broken_family_and_says_so(monkeypatch, capsys):
     monkeypatch.setenv(registry.METHODS_VARIABLE, "torn=nowhere_at_all:FAMILY")
     set_verbosity(verbose=False, quiet=False)  # as the program does before each command
-    names = arguments.expand_methods(["all"])
+    names = expand_methods(["all"])
     assert "mean" in names
     assert "torn" not in names
     assert "'all' skips torn, which cannot be imported: ModuleNotFound" in capsys.readouterr().err

@@ -63,7 +63,7 @@ def clip_header(sequence: ImportedSequence, samples: int | None, exposure: float
 def estimate_exposure(sequence: ImportedSequence, sanitize: bool = False) -> float:
     """The exposure for the references of up to 8 frames; that of the source, if it has one.
 
-    The rule is that of `rlbench render-scene`. A black sequence has exposure 1. Raises SourceError
+    The rule is that of `rlbench render`. A black sequence has exposure 1. Raises SourceError
     for values that are not finite, unless they are to be repaired.
     """
     if sequence.exposure is not None:

@@ -284,7 +284,7 @@ def walk(seed: int, frames: int) -> Float[Array, "frames 4 4"]:
 def place_cameras(file: Path, folder: Path, count: int, frames: int, seed: int = 0) -> list[Path]:
     """Write `count` camera paths for a scene file to `folder`; returns the JSON files.
 
-    Each is one for `rlbench render-scene --camera`, named `walk0.json` and so on. They are kept if
+    Each is one for `rlbench render --camera`, named `walk0.json` and so on. They are kept if
     all exist and have `frames` matrices; more paths leave the first as they were. Raises SceneError
     if the scene has too few places to stand, and CyclesError if Blender is missing or failed.
     """

@@ -124,7 +124,7 @@ def _parse(xml_file: XmlFile, merge: bool) -> Iterator[_ParsedFile]:
     path = xml_file.path
     if not path.is_file():
         raise SceneError(
-            f"scene file {path} does not exist; render-scene takes a Mitsuba XML or .py file"
+            f"scene file {path} does not exist; render takes a Mitsuba XML or .py file"
         )
     resolver = file_resolver()
     saved = [str(folder) for folder in resolver]

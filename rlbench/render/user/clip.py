@@ -35,7 +35,7 @@ SIZE_MULTIPLE = 16  # pixels: chosen widths and heights are multiples of it
 
 @dataclass(frozen=True)
 class UserSceneOptions:
-    """The options of `rlbench render-scene`."""
+    """The options of `rlbench render`."""
 
     file: Path
     camera: str = ""  # a kind of path or a JSON file; default the scene's animation or an orbit

@@ -175,13 +175,13 @@ def open_scene_file(
     """
     if not file.is_file():
         raise SceneError(
-            f"scene file {file} does not exist; render-scene takes a Mitsuba XML or a Python file"
+            f"scene file {file} does not exist; render takes a Mitsuba XML or a Python file"
         )
     if file.suffix == ".xml":
         return _from_xml(XmlFile(file, parameters, skip_missing))
     if file.suffix != ".py":
         raise SceneError(
-            f"{file} is neither .xml (Mitsuba) nor .py; render-scene takes one of these"
+            f"{file} is neither .xml (Mitsuba) nor .py; render takes one of these"
         )
     return _from_python(file, parameters, skip_missing)
 

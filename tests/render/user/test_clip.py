@@ -30,7 +30,7 @@ def test_an_xml_scene_is_rendered_and_benchmarked_from_the_command_line(room, tm
     path = flown(room.parent, PASSING)
     arguments = [room, "--camera", path, "--size", "24x16", "--preset", "tiny"]
     result = run.invoke(
-        app, ["render-scene", *map(str, arguments), "--out", str(tmp_path / "clip")]
+        app, ["render", *map(str, arguments), "--out", str(tmp_path / "clip")]
     )
     assert result.exit_code == 0, result.output
     assert verify(tmp_path / "clip") == []
@@ -171,4 +171,4 @@ def test_a_changed_file_is_rendered_again(room, change):
 def test_options_of_a_user_scene_are_refused_for_presets(tmp_path):
     result = CliRunner().invoke(app, ["render", "--camera", "orbit"])
     assert result.exit_code == 2
-    assert "No such option: --camera" in result.output
+    assert "--camera is for a scene FILE" in result.output

@@ -175,4 +175,4 @@ def test_an_unusable_python_file_is_refused(room, code, match):
 
 @pytest.mark.parametrize("name", ["none.xml", "textures/wood.png"])
 def test_a_file_that_is_not_a_scene_is_refused(room, name):
-    check_refused(UserSceneOptions(room.parent / name), "render-scene takes")
+    check_refused(UserSceneOptions(room.parent / name), "render takes")

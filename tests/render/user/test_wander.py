@@ -147,7 +147,7 @@ def test_the_command_renders_a_clip_for_each_seed(llvm, tmp_path, monkeypatch):
     )
     boxes = "".join(_box(*box) for box in (*WALLS, *FURNITURE))
     file = document(tmp_path / "flat", sensor + boxes + LAMPS)
-    words = ["render-scene", str(file), "--camera", "wander", "--seeds", "1,4", "--preset", "tiny"]
+    words = ["render", str(file), "--camera", "wander", "--seeds", "1,4", "--preset", "tiny"]
     words += ["--frames", "2", "--size", "24x16", "--out", str(tmp_path / "out")]
     result = CliRunner().invoke(app, words)
     assert result.exit_code == 0, result.output

@@ -9,7 +9,7 @@ import pytest
 
 from rlbench.benchmark.results import read
 from rlbench.benchmark.shown_clips import ShownClip
-from rlbench.cli.view import read_images
+from rlbench.cli.selection import find_images
 from tests.reports.kept_run import run_with_images
 
 METHODS = ("accumulate/contrast", "eaw", "mean")
@@ -38,5 +38,5 @@ def kept(tmp_path_factory) -> Kept:
     with pytest.MonkeyPatch.context() as patch:
         patch.setenv("RLBENCH_CACHE", str(folder / "cache"))
         rows = read(folder / "results")
-        clips, _ = read_images(folder / "results", rows, [folder / "clips"])
+        clips = list(find_images(folder / "results", rows, [folder / "clips"])[0])
     return Kept(rows, clips, folder)

@@ -12,7 +12,8 @@ import pytest
 
 from rlbench.benchmark.results import UNRELIABLE, read
 from rlbench.benchmark.shown_clips import ShownClip
-from rlbench.cli.view import describe_traits, read_images
+from rlbench.cli.selection import find_images
+from rlbench.cli.view import describe_traits
 from tests.reports.kept_run import FRAMES, SIDE, run_with_images
 from tests.reports.viewer.screen import Screen, find_chromium, launch_chromium
 
@@ -51,7 +52,7 @@ def report(run_folder) -> Report:
         rows.loc[rows["unit"] == "ms", "note"] = ""
         is_marked = (rows["method"] == "eaw") & (rows["metric"] == "inference_ms")
         rows.loc[is_marked, "note"] = f"{UNRELIABLE} the machine was busy"
-        clips, _ = read_images(run_folder / "results", rows, [run_folder / "clips"])
+        clips = list(find_images(run_folder / "results", rows, [run_folder / "clips"])[0])
     file = run_folder / "report.html"
     write(rows, file, clips, {name: describe_traits(name) for name in METHODS})
     return Report(file, rows, clips)

@@ -7,7 +7,7 @@ import pytest
 from rlbench import registry
 from rlbench.benchmark import results as table
 from rlbench.benchmark.results import Row
-from rlbench.cli import reports
+from rlbench.cli.selection import select_methods
 from rlbench.errors import OptionError
 from tests.cli.runner import rlbench
 from tests.conftest import write_noise, write_plugin
@@ -103,10 +103,10 @@ def test_a_pattern_selects_rows_of_variants_without_shipped_weights(tmp_path):
     rows = table.to_dataframe(
         [Row("r", name, "a", "a", 1, 1, 0, "psnr", 20.0) for name in NOT_PRETRAINED]
     )
-    selected = reports.select_rows(rows, ["ours/*"], tmp_path)
+    selected = select_methods(rows, ["ours/*"], tmp_path)
     assert set(selected["method"]) == set(NOT_PRETRAINED)
     with pytest.raises(OptionError, match="has no rows of svgf/"):
-        reports.select_rows(rows, ["svgf/*"], tmp_path)
+        select_methods(rows, ["svgf/*"], tmp_path)
 
 
 def test_a_report_is_compared_with_the_results_of_another_preset(run_mean, tmp_path):

@@ -11,7 +11,7 @@ import pytest
 from typer.testing import CliRunner
 
 from rlbench.benchmark.listing import list_installed
-from rlbench.cli import plugins
+from rlbench.cli import list_
 from rlbench.cli.app import app
 from rlbench.registry import METHODS_VARIABLE
 from tests.cli.runner import rlbench
@@ -23,7 +23,7 @@ def list_json(*words: object) -> dict[str, list[dict[str, object]]]:
 
 
 def test_every_kind_can_be_listed():
-    assert set(get_args(plugins.Kind)) == {"all", *list_installed()}
+    assert set(get_args(list_.Kind)) == {"all", *list_installed()}
     assert "'gadgets' is not one of 'all', 'methods'" in rlbench("list", "gadgets", code=2)
 
 

@@ -1,4 +1,4 @@
-"""The command render-scene: what it hands over, and what it refuses."""
+"""The command render with a scene file: what it hands over, and what it refuses."""
 
 from __future__ import annotations
 
@@ -23,12 +23,12 @@ def user_clips(monkeypatch):
     return calls
 
 
-def test_render_scene_hands_over_its_options(user_clips, tmp_path):
+def test_render_hands_over_its_options(user_clips, tmp_path):
     file = tmp_path / "scene.xml"
     file.touch()
     words = ("--camera", "dolly", "--frames", 5, "--size", "320x192", "--exposure", 0.5)
     words += ("-D", "max_depth=9", "-D", "light=2=3", "--out", tmp_path / "c", "--preset", "tiny")
-    assert rlbench("render-scene", file, *words) == "the clip"
+    assert rlbench("render", file, *words) == "the clip"
     ((options, preset, executor),) = user_clips
     assert (options.file, options.camera, options.frames) == (file, "dolly", 5)
     assert (options.size, options.exposure) == ((192, 320), 0.5)
@@ -52,13 +52,18 @@ def test_render_scene_hands_over_its_options(user_clips, tmp_path):
         ("a.xml", ("-D", "max_depth"), "'max_depth' is no NAME=VALUE"),
         ("a.xml", ("--frames", 0), "Invalid value for '--frames'"),
         ("a.xml", ("--preset", "huge"), "error: no preset 'huge'"),
-        ("a.xml", ("--radiance-cap", 64), "No such option: --radiance-cap"),
-        ("a.xml", ("--takes", "all"), "No such option: --takes"),
+        ("a.xml", ("--radiance-cap", 64), "--radiance-cap is for presets"),
+        ("a.xml", ("--takes", "all"), "--takes is for presets"),
+        (".", (), "Invalid value for 'FILE'"),
         ("a.blend", ("--engine", "ray"), "error: --engine ray cannot render with Cycles"),
     ],
 )
-def test_wrong_use_of_render_scene_is_one_message(user_clips, tmp_path, name, words, message):
+def test_wrong_use_with_a_scene_file_is_one_message(user_clips, tmp_path, name, words, message):
     for existing in ("a.xml", "a.max", "a.blend", "a.pbrt"):
         (tmp_path / existing).touch()
-    assert message in rlbench("render-scene", tmp_path / name, *words, code=2)
+    assert message in rlbench("render", tmp_path / name, *words, code=2)
     assert user_clips == []
+
+
+def test_options_of_a_scene_file_need_one():
+    assert "--camera is for a scene FILE" in rlbench("render", "--camera", "still", code=2)

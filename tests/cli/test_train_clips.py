@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 
 from rlbench.cli import console
-from rlbench.cli.training import _reproducing_command
+from rlbench.cli.train import _reproducing_command
 from rlbench.clips.stored import open_clip
 from rlbench.weights import digest, read_card
 from tests.cli.runner import rlbench
