@@ -206,10 +206,10 @@ def _lists(
     return {
         "Differences": difference_notes(records),
         "Scores without a partner": [
-            f"{row.method} at {row.target_spp:g} spp: {row.unpaired} scores without a partner, "
-            f"{row.pairs} pairs"
-            for row in records.itertuples()
-            if row.unpaired
+            f"{row['method']} at {row['target_spp']:g} spp: {row['unpaired']} scores without a "
+            f"partner, {row['pairs']} pairs"
+            for row in records.to_dict("records")
+            if row["unpaired"]
         ],
         "Not compared": [
             f"{method} at {spp:g} spp: no score of it or of {base}"

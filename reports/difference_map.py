@@ -15,7 +15,6 @@ from matplotlib.ticker import MaxNLocator
 
 from reports.analysis.images import (
     Floats,
-    ShownClip,
     first_of_scenes,
     select_images,
     squared_error,
@@ -34,6 +33,8 @@ from reports.layout.page import describe_clips
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
+
+    from rlbench.benchmark.shown_clips import ShownClip
 
 USUAL = ("ours", "ours/A1")  # learned by reward, and by a surrogate gradient, as in the paper
 MAX_SCENES = 4

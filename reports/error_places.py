@@ -20,7 +20,7 @@ from matplotlib.patches import Patch
 from numpy.typing import NDArray
 from scipy import ndimage
 
-from reports.analysis.images import Floats, ShownClip, luminance, select_images, squared_error
+from reports.analysis.images import Floats, luminance, select_images, squared_error
 from reports.layout import style
 from reports.layout.files import write_figure
 from reports.layout.image_grid import add_caption
@@ -28,6 +28,8 @@ from reports.layout.page import describe_clips
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
+
+    from rlbench.benchmark.shown_clips import ShownClip
 
 USUAL = ("ours", "accumulate/contrast", "ntas", "oidn/tuned")
 GROUP = ["method", "target_spp", "scene", "kind", "class"]

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 import pandas as pd
@@ -13,7 +14,6 @@ from scipy import ndimage, stats
 
 from reports.analysis.images import (
     Floats,
-    ShownClip,
     decibels,
     first_of_scenes,
     select_images,
@@ -31,6 +31,9 @@ from reports.layout.image_grid import (
 )
 from reports.layout.page import describe_clips
 from rlbench.benchmark.results import MissingRowsError
+
+if TYPE_CHECKING:
+    from rlbench.benchmark.shown_clips import ShownClip
 
 USUAL = ("ours", "ours/A1", "ntas")
 MAX_ROWS, MAX_SCENES = 3, 4

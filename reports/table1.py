@@ -147,7 +147,7 @@ def _table(scores: Scores, records: pd.DataFrame) -> Table:
 def _difference_and_time(row: Record | None) -> tuple[str, str]:
     if row is None:
         return "-", "-"
-    gap = "-" if pd.isna(row["difference"]) else format_difference(row)
+    gap: str = "-" if pd.isna(row["difference"]) else format_difference(row)
     return gap, format_ms(row["inference_ms"], row["unreliable"])
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 import pandas as pd
@@ -12,7 +13,6 @@ from matplotlib.figure import Figure
 
 from reports.analysis.images import (
     Floats,
-    ShownClip,
     decibels,
     encode_srgb,
     first_of_scenes,
@@ -22,6 +22,9 @@ from reports.analysis.images import (
 from reports.layout.files import write_figure
 from reports.layout.image_grid import add_caption, draw_picture
 from reports.layout.page import describe_clips
+
+if TYPE_CHECKING:
+    from rlbench.benchmark.shown_clips import ShownClip
 
 USUAL = ("ours", "ntas", "oidn/tuned", "accumulate/contrast")
 MAX_ROWS, MAX_SCENES = 4, 4

@@ -10,7 +10,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 import pandas as pd
@@ -20,7 +20,6 @@ from numpy.lib.stride_tricks import sliding_window_view
 
 from reports.analysis.images import (
     Floats,
-    ShownClip,
     decibels,
     first_of_scenes,
     select_images,
@@ -29,6 +28,9 @@ from reports.analysis.images import (
 from reports.layout.files import write_figure
 from reports.layout.image_grid import add_caption, draw_picture
 from reports.layout.page import describe_clips
+
+if TYPE_CHECKING:
+    from rlbench.benchmark.shown_clips import ShownClip
 
 USUAL = ("ours", "ntas")  # as in the paper's figure
 MIN_ROWS, MAX_ROWS, MAX_SCENES = 2, 5, 4

@@ -2,40 +2,21 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping, Sequence
-from typing import Any, Protocol
+from collections.abc import Iterable, Iterator, Sequence
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from rlbench.benchmark.results import MissingRowsError
 
+if TYPE_CHECKING:
+    from rlbench.benchmark.shown_clips import ShownClip, ShownImages
+
 KNEE = 0.0031308  # IEC 61966-2-1: linear value below which the curve is a straight line
 REC_709 = (0.2126, 0.7152, 0.0722)  # weights of linear R, G and B in luminance
 CAP_DB = 100.0  # PSNR of equal images
 Floats = NDArray[np.floating[Any]]
-
-
-class ShownImages(Protocol):
-    """The output of one method on a clip."""
-
-    method: str
-    target_spp: float
-    frames: Floats  # [t 3 h w], linear radiance
-    counts: Floats  # [t h w], samples of each pixel
-
-
-class ShownClip(Protocol):
-    """A clip with the images of all methods on it."""
-
-    name: str
-    scene: str
-    fps: float
-    cuts: Sequence[int]
-    light_changes: Sequence[int]
-    reference: Floats  # [t 3 h w], linear radiance
-    buffers: Mapping[str, Floats]  # [t c h w]
-    images: Sequence[ShownImages]
 
 
 def encode_srgb(radiance: Floats) -> Floats:

@@ -80,7 +80,8 @@ class PresetScores:
     @cached_property
     def _errors(self) -> dict[Key, float]:
         groups = self.scores.measured.groupby(["method", "scene", "target_spp"])["value"]
-        return {(str(m), str(s), float(spp)): float(e) for (m, s, spp), e in groups.sem().items()}
+        errors: dict[Any, float] = groups.sem().to_dict()
+        return {(str(m), str(s), float(spp)): e for (m, s, spp), e in errors.items()}
 
 
 def preset_scores(

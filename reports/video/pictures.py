@@ -7,7 +7,7 @@ from collections.abc import Iterator, Sequence
 from functools import cache
 from itertools import chain
 from pathlib import Path
-from typing import Any, NamedTuple, Protocol
+from typing import TYPE_CHECKING, NamedTuple
 
 import matplotlib as mpl
 import numpy as np
@@ -15,6 +15,9 @@ from numpy.typing import NDArray
 from PIL import Image, ImageDraw, ImageFont
 
 from reports.video.style import VideoStyle
+
+if TYPE_CHECKING:
+    from rlbench.benchmark.shown_clips import DisplayClip
 
 BACKGROUND = (24, 24, 24)
 COUNT_COLOURS = "viridis"  # as in the page of rlbench view
@@ -29,24 +32,6 @@ ELLIPSIS = "…"
 GAP = 4  # pixels between panels
 DIVIDER = 2  # pixels
 Rgb8 = NDArray[np.uint8]  # [h w 3]
-
-
-class DisplayImages(Protocol):
-    """What a display shows of one row, or of the reference."""
-
-    name: str
-    frames: Rgb8  # [t h w 3]
-    counts: NDArray[np.floating[Any]]  # [t h w], samples of each pixel
-    psnr: Sequence[float]  # dB of each frame; NaN where it is not known
-
-
-class DisplayClip(Protocol):
-    """A clip with the images of some rows at one budget."""
-
-    name: str
-    target_spp: float
-    rows: Sequence[DisplayImages]
-    reference: Rgb8 | None  # [t h w 3]
 
 
 class Panel(NamedTuple):

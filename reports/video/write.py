@@ -5,13 +5,17 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Sequence
 from itertools import chain, repeat
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 from PIL import Image
 
 from reports.layout.files import finished_file
-from reports.video.pictures import DisplayClip, Panel, Rgb8, panels_of, pictures
+from reports.video.pictures import Panel, Rgb8, panels_of, pictures
 from reports.video.style import VideoStyle, check_formats
+
+if TYPE_CHECKING:
+    from rlbench.benchmark.shown_clips import DisplayClip
 
 CRF = 18  # constant rate factor of x264: differences are hard to see
 

@@ -9,7 +9,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from importlib.resources import files
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import jinja2
 import matplotlib as mpl
@@ -17,13 +17,15 @@ import numpy as np
 import pandas as pd
 
 from reports.analysis.differences import TIE_DB
-from reports.analysis.images import ShownClip
 from reports.analysis.rows import check_comparable, split_by_device
 from reports.layout.files import finished_file
 from reports.layout.page import describe_clips
 from reports.layout.tables import UNRELIABLE_MARK
 from reports.viewer.data import decision_data, frame_scores, provenance, student_factors, table_data
 from reports.viewer.pictures import MAX_METHODS, pack_clips
+
+if TYPE_CHECKING:
+    from rlbench.benchmark.shown_clips import ShownClip
 
 ASSETS = files("reports.viewer") / "assets"
 # perceptually uniform and safe for colour-blind readers: Smith and van der Walt 2015 (matplotlib);
@@ -89,7 +91,7 @@ def _select_methods(
             )
             images += at_budget[:MAX_METHODS]
             left_out |= {each.method for each in at_budget[MAX_METHODS:]}
-        kept.append(replace(clip, images=tuple(images)))  # type: ignore[type-var]
+        kept.append(replace(clip, images=tuple(images)))
     if not left_out:
         return kept, []
     return kept, [

@@ -5,10 +5,13 @@ from __future__ import annotations
 import json
 from bisect import bisect_left
 from collections.abc import Sequence
+from typing import TYPE_CHECKING
 
-from reports.analysis.images import ShownClip
 from reports.viewer.tiles import LinearScale, LogScale, encode
 from rlbench.benchmark.results import TableError
+
+if TYPE_CHECKING:
+    from rlbench.benchmark.shown_clips import ShownClip
 
 MAX_METHODS = 9  # at each clip and budget: one for each of the keys 1 to 9
 STEPS = (256, 128, 96, 64, 48, 32, 24, 20, 16, 14, 12, 10, 8)  # of radiance in an octave

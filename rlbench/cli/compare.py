@@ -46,6 +46,6 @@ def compare(
     import reports.compare
 
     rows = read_rows(results, names, scenes, spp)
-    comparison = reports.compare.compare(rows, *names, metric, device)
+    comparison = reports.compare.compare(rows, names[0], names[1], metric, device)
     text = reports.compare.comparison_text
     typer.echo(as_json_text(comparison) if as_json else text(comparison))

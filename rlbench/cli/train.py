@@ -6,6 +6,7 @@ import math
 import re
 import shlex
 import sys
+from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -268,7 +269,7 @@ def _announce_rendering(preset: str | None, seeds: Seeds | None, clips: list[str
         )
 
 
-def _refuse_other_clips(chosen: dict[str, object]) -> None:
+def _refuse_other_clips(chosen: Mapping[str, object]) -> None:
     """Raise OptionError for options that choose clips, which --quick has of its own."""
     if given := [option for option, value in chosen.items() if value is not None]:
         raise OptionError(

@@ -14,6 +14,7 @@ from typing import Any, Literal
 import typer
 
 from rlbench.cli.methods import load_plugins, trainable_methods
+from rlbench.cli.options import DEFAULT_FRAMES
 from rlbench.cli.train import QUICK_FRAMES
 from rlbench.errors import OptionError
 from rlbench.system.paths import check_writable
@@ -110,7 +111,7 @@ def _prepare(
     folder = run_folder(
         out, entry.method, params["holdout"], params["train_spp"], QUICK if quick else ""
     )
-    default = QUICK_FRAMES if quick else options.DEFAULT_FRAMES
+    default = QUICK_FRAMES if quick else DEFAULT_FRAMES
     frames = params["frames"] or default
     return Training(entry.name, entry.method, tuple(words), folder, frames, entry.after)
 

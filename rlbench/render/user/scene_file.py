@@ -180,9 +180,7 @@ def open_scene_file(
     if file.suffix == ".xml":
         return _from_xml(XmlFile(file, parameters, skip_missing))
     if file.suffix != ".py":
-        raise SceneError(
-            f"{file} is neither .xml (Mitsuba) nor .py; render takes one of these"
-        )
+        raise SceneError(f"{file} is neither .xml (Mitsuba) nor .py; render takes one of these")
     return _from_python(file, parameters, skip_missing)
 
 

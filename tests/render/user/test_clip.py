@@ -29,9 +29,7 @@ def test_an_xml_scene_is_rendered_and_benchmarked_from_the_command_line(room, tm
     run = CliRunner()
     path = flown(room.parent, PASSING)
     arguments = [room, "--camera", path, "--size", "24x16", "--preset", "tiny"]
-    result = run.invoke(
-        app, ["render", *map(str, arguments), "--out", str(tmp_path / "clip")]
-    )
+    result = run.invoke(app, ["render", *map(str, arguments), "--out", str(tmp_path / "clip")])
     assert result.exit_code == 0, result.output
     assert verify(tmp_path / "clip") == []
     arguments = ["-m", "mean", "--clips", tmp_path / "clip", "--out", tmp_path / "results"]
