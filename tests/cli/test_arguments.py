@@ -120,4 +120,4 @@ def test_all_skips_a_broken_family_and_says_so(monkeypatch, capsys):
     assert "torn" not in names
     assert "'all' skips torn, which cannot be imported: ModuleNotFound" in capsys.readouterr().err
     with pytest.raises(ModuleNotFoundError):
-        arguments.expand_methods(["mean,torn"])
+        expand_methods(["mean,torn"])
