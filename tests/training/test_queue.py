@@ -82,7 +82,10 @@ def test_a_mistake_in_the_file_is_named(tmp_path, text, message):
 def test_training_processes_have_the_lowest_priority():
     code = "import os; print(os.getpriority(os.PRIO_PROCESS, 0), os.sched_getscheduler(0))"
     output = subprocess.check_output(
-        [sys.executable, "-c", code], preexec_fn=queue._use_spare_time, text=True
+        [sys.executable, "-c", code],
+        start_new_session=True,
+        preexec_fn=queue._use_spare_time,
+        text=True,
     )
     assert output.split() in (["19", str(os.SCHED_IDLE)], ["19", str(os.SCHED_OTHER)])
 
