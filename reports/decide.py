@@ -37,6 +37,7 @@ from reports.analysis.differences import (
 from reports.analysis.intervals import LEVEL, UNKNOWN, Interval, interval_of
 from reports.analysis.rows import ReportError, check_comparable, remarks, select_device
 from reports.analysis.scores import INFERENCE, Scores
+from reports.layout.tables import UNRELIABLE_MARK
 
 LISTED = 8  # methods in the table of the text
 INPUTS = {"sample_ms": "a sample costs", "frame_ms": "the deadline is"}
@@ -54,6 +55,7 @@ class Candidate:
     inference_ms: float  # plan + allocate + denoise, mean of the middle half
     sampling_ms: float
     is_largest_budget: bool  # more time would buy nothing that was measured
+    is_unreliable: bool  # does the clock reject a time of the method?
     difference: Interval  # to the winner, paired by scene; of the winner: nan
     verdict: str  # tie, not resolved, leads or trails; empty: no interval
     p_holm: float = math.nan  # of the difference, corrected for all candidates
@@ -96,26 +98,36 @@ def decide(
     metric: str = "psnr",
     device: str = "",
     left_out: Sequence[str] = (),
+    allow_unreliable: bool = False,
 ) -> Decision:
     """The method with the best expected score among those that fit `frame_ms`, and its rivals.
 
     `sample_ms` is the time of one path sample for each pixel; the time of a frame is plan +
     allocate + denoise (from the results) + samples x `sample_ms`, mean over scenes. `device` names
     the device whose times are used, where the results have several. `left_out` are sentences about
-    rows that were not considered. Raises ReportError if no method fits or has times, or if rows
-    cannot be compared.
+    rows that were not considered. Budgets with unreliable times are left out, or marked with
+    `allow_unreliable`. Raises ReportError if no method fits or has times, if all times are
+    unreliable, or if rows cannot be compared.
     """
     rows, device = select_device(results, device)
     check_comparable(rows)
     scores = Scores(rows, metric, device)
     check_ranks(scores)
-    curves = curves_of(scores)
+    curves = curves_of(scores, allow_unreliable)
+    if not curves and curves_of(scores):
+        raise ReportError(
+            f"all times are unreliable: {scores.unreliable_times[0]}. Measure them again on a "
+            "quiet machine: rlbench run --retime; or see the answer marked: --allow-unreliable"
+        )
     if not curves:
         raise ReportError(
             f"no method has {metric} and times on every scene; found: "
             f"{'; '.join(methods_without_curve(scores, []))}. Measure with rlbench run"
         )
+    doubted = set(scores.points["method"][scores.points["unreliable"]])
     ranked = _candidates(curves, sample_ms, frame_ms, scores.column_text("unit"))
+    if allow_unreliable:
+        ranked = tuple(replace(c, is_unreliable=c.method in doubted) for c in ranked)
     if not ranked:
         raise _nothing_fits(curves, sample_ms, frame_ms)
     timed = rows[rows["metric"].isin(INFERENCE) & rows["method"].isin([c.method for c in curves])]
@@ -133,7 +145,12 @@ def decide(
         image_sizes=tuple(sorted(set(timed["size"]) - {""})),
         measured_sample_ms=measured_sample_ms(scores),
         measured_sample_source=scores.cost_source,
-        notes=(*left_out, *methods_without_curve(scores, curves), *remarks(timed)),
+        notes=(
+            *left_out,
+            *methods_without_curve(scores, curves),
+            *(f"unreliable: {line}" for line in scores.unreliable_times),
+            *remarks(timed),
+        ),
     )
 
 
@@ -171,6 +188,7 @@ def _candidates(
                 inference_ms=frame - sampling,
                 sampling_ms=sampling,
                 is_largest_budget=bool(spp[index] == curve.spp[-1]),
+                is_unreliable=False,
                 difference=gap,
                 verdict=name_verdict(gap, unit, curve.direction),
             )
@@ -244,7 +262,7 @@ def _answer(decision: Decision) -> Iterator[str]:
         f"{_number(best.value.mean, decision)} {decision.unit}".rstrip()
         + f" {_ends(best.value, decision)} over "
         f"{len(decision.scenes)} scene{'s' * (len(decision.scenes) != 1)}, in {best.frame_ms:.3g} "
-        f"of {decision.frame_ms:g} ms ({best.inference_ms:.3g} inference + "
+        f"of {decision.frame_ms:g} ms{_doubt(best)} ({best.inference_ms:.3g} inference + "
         f"{best.sampling_ms:.3g} sampling)."
     )
     if best.is_largest_budget:
@@ -269,11 +287,16 @@ def _table(decision: Decision) -> Iterator[tuple[str, ...]]:
         yield (
             row.method,
             f"{row.spp:.3g}",
-            f"{row.frame_ms:.3g}",
+            f"{row.frame_ms:.3g}{_doubt(row)}",
             _number(row.value.mean, decision),
             "" if row is decision.candidates[0] else difference,
             row.verdict + _mark(row),
         )
+
+
+def _doubt(row: Candidate) -> str:
+    """The mark of a time that the clock rejects."""
+    return UNRELIABLE_MARK * row.is_unreliable
 
 
 def _mark(row: Candidate) -> str:

@@ -74,7 +74,7 @@ def write(
 
 
 def _figures(scores: Scores) -> dict[str, Drawing]:
-    curves = curves_of(scores)
+    curves = curves_of(scores, allow_unreliable=False)
     if not curves or not scores.direction:
         raise MissingRowsError(
             f"a map of winners needs {scores.metric} and times of a method on every scene; found: "

@@ -87,9 +87,16 @@ class Curve:
         return np.where((spp >= self.spp[0]) & (spp <= self.spp[-1]), values, np.nan)
 
 
-def curves_of(scores: Scores) -> list[Curve]:
-    """The curve of each method, by name, over the budgets with scores and times on every scene."""
+def curves_of(scores: Scores, allow_unreliable: bool = True) -> list[Curve]:
+    """The curve of each method, by name, over the budgets with scores and times on every scene.
+
+    Without `allow_unreliable`, a budget whose time is unreliable on a scene is left out: an answer
+    must not rest on times that the clock rejected.
+    """
     points = scores.points.assign(samples=_in_path_samples(scores.points))
+    if not allow_unreliable:
+        doubted = points.groupby(["method", "target_spp"])["unreliable"].transform("any")
+        points = points[~doubted]
     budgets = mean_over_scenes(points).dropna(subset=["inference_ms", "samples"])
     unit = "scene" if scores.scene_means["scene"].nunique() > 1 else "clip"
     means = scores.scene_means if unit == "scene" else scores.clip_means
@@ -107,12 +114,14 @@ def curves_of(scores: Scores) -> list[Curve]:
 def methods_without_curve(scores: Scores, curves: Iterable[Curve]) -> list[str]:
     """Sentences about the methods that have scores and no curve, each with what it lacks."""
     timed = scores.points.dropna(subset=INFERENCE)
-    complete = set(scores.overall["method"])
+    complete, doubted = set(scores.overall["method"]), set(timed["method"][timed["unreliable"]])
     reasons = {
         method: f"{method} has no {scores.metric} on every scene and frame at any budget"
         if method not in complete
         else f"{method} has no time on every scene"
         if method not in set(timed["method"])
+        else f"{method} has unreliable times alone"
+        if method in doubted
         else f"{method} has no cost of its samples on every scene"
         for method in set(scores.measured["method"]) - {curve.method for curve in curves}
     }

@@ -12,7 +12,7 @@ from rlbench.cli import options
 from rlbench.cli.arguments import parse_positive, split_names
 from rlbench.cli.json_output import as_json_text
 from rlbench.cli.methods import load_plugins
-from rlbench.cli.options import MEASUREMENT, METHODS, option
+from rlbench.cli.options import MEASUREMENT, METHODS, flag, option
 from rlbench.cli.selection import read_rows
 from rlbench.errors import OptionError
 from rlbench.registry.near_names import unknown_name
@@ -57,6 +57,14 @@ def decide(
     as_json: options.Json = False,
     plugin: options.Plugins = None,
     device: options.RowDevice = "",
+    allow_unreliable: Annotated[
+        bool,
+        flag(
+            MEASUREMENT,
+            "--allow-unreliable",
+            "also use times that the clock rejected, with a mark",
+        ),
+    ] = False,
     sample_device: Annotated[
         str,
         option(
@@ -69,7 +77,8 @@ def decide(
     """Name the method with the least error in a frame time.
 
     Reads the results table alone: the expected score with its interval, the runner-up, and the
-    cost of a sample and the deadline at which another method wins.
+    cost of a sample and the deadline at which another method wins. Times that the clock rejected
+    are not used; the exit code is 1 if all are of this kind.
 
     Examples:
 
@@ -84,7 +93,9 @@ def decide(
     rows, left_out = read_rows(results, methods, scenes), list[str]()
     if needs is not None:
         rows, left_out = _select_by_inputs(rows, split_names(needs))
-    decision = reports.decide.decide(rows, sample_ms, frame_ms, metric, device, left_out)
+    decision = reports.decide.decide(
+        rows, sample_ms, frame_ms, metric, device, left_out, allow_unreliable
+    )
     text = reports.decide.decision_text
     typer.echo(as_json_text(decision) if as_json else text(decision, sample_device))
 

@@ -11,6 +11,7 @@ import pytest
 
 from reports.analysis.rows import ReportError
 from reports.decide import decide, decision_text
+from rlbench.benchmark.results import UNRELIABLE
 from tests.reports.formula_results import THREE, Formula, table
 
 
@@ -102,6 +103,29 @@ def test_notes_on_times_and_a_winner_at_its_largest_budget_are_passed_on():
     assert "slow, plan_ms: odd" in text
     assert "4 spp is its largest measured budget" in text
     assert "rlbench run -m middle --spp 8" in text
+
+
+def doubt(rows, *methods):
+    """The rows with times of `methods` that the clock rejected."""
+    is_time = (rows["unit"] == "ms") & rows["method"].isin(methods)
+    return rows.assign(note=rows["note"].mask(is_time, f"{UNRELIABLE} 225 times a quiet moment"))
+
+
+def test_a_method_with_unreliable_times_wins_only_where_that_is_allowed_and_marked():
+    rows = doubt(table(THREE), "middle")
+    decision = decide(rows, sample_ms=2.0, frame_ms=11.0)
+    assert [each.method for each in decision.candidates] == ["cheap"]
+    assert "middle has unreliable times alone" in decision.notes
+    assert any("225 times a quiet moment" in note for note in decision.notes)
+    allowed = decide(rows, sample_ms=2.0, frame_ms=11.0, allow_unreliable=True)
+    assert [each.method for each in allowed.candidates] == ["middle", "cheap"]
+    assert [each.is_unreliable for each in allowed.candidates] == [True, False]
+    assert "of 11 ms? (5 inference" in decision_text(allowed)
+
+
+def test_results_whose_times_are_all_unreliable_are_refused():
+    with pytest.raises(ReportError, match="225 times a quiet moment.*--retime.*--allow-unreliable"):
+        decide(doubt(table(THREE), *THREE), sample_ms=2.0, frame_ms=11.0)
 
 
 def test_equal_results_give_equal_decisions_that_json_can_hold(results):
