@@ -38,6 +38,7 @@ from reports.analysis.scores import Scores
 from reports.decide import check_ranks
 
 KEYS = [*FRAME, "seed", "target_spp"]  # what the two scores of a pair have in common
+MIN_SCENES = 4  # of a probability, and of a mean of the middle half
 Runs = NDArray[np.float64]  # [runs scenes]
 
 
@@ -219,11 +220,12 @@ def _budget_lines(budget: BudgetComparison, comparison: Comparison) -> Iterator[
         f"({budget.first:{digits}} against {budget.second:{digits}})"
     )
     margin = f" by more than {TIE_DB:g} dB" if unit == "dB" else ""
-    details = [
-        f"ahead{margin} on {budget.ahead:.0%} of scenes, behind on {budget.behind:.0%}",
-        f"better on a random scene with probability {budget.improvement:.2f}",
-        f"interquartile mean {budget.interquartile_mean:+{digits}}",
-    ]
+    details = [f"ahead{margin} on {budget.ahead:.0%} of scenes, behind on {budget.behind:.0%}"]
+    if len(comparison.scenes) >= MIN_SCENES:
+        details += [
+            f"better on a random scene with probability {budget.improvement:.2f}",
+            f"interquartile mean {budget.interquartile_mean:+{digits}}",
+        ]
     if budget.resolvable == budget.resolvable:
         details.append(f"resolvable from {budget.resolvable:{digits}} {unit}".rstrip())
     if budget.unpaired:

@@ -104,7 +104,7 @@ def test_run_returns_the_rows_of_the_call_and_measures_nothing_twice(clips, tmp_
     assert (psnr["value"] > 0).all()
     rlbench.run(["mean", "eaw"], **options)
     files = {file: file.stat().st_mtime_ns for file in (tmp_path / "results").iterdir()}
-    again = rlbench.run(["mean"], **options, on_cell=finished.append)
+    again = rlbench.run("mean", **options, on_cell=finished.append)  # one name is a method
     assert again["value"].equals(first["value"])
     assert {file: file.stat().st_mtime_ns for file in (tmp_path / "results").iterdir()} == files
     assert len(finished) == 2  # the known cell is announced too

@@ -56,7 +56,7 @@ RESULTS = Path("results")
 
 
 def run(
-    methods: Iterable[str] = ("all",),
+    methods: str | Iterable[str] = ("all",),
     *,
     spp: Iterable[float] = DEFAULT_SPP,
     scenes: Iterable[str] = (),
@@ -82,7 +82,7 @@ def run(
 ) -> pd.DataFrame:
     """Score and time methods on clips; returns the rows of this call, one number a row.
 
-    `methods` are names and patterns such as `ours`, `ours/A1`, `oidn/*` or `all`; `spp` are budgets
+    `methods` is one name or several, or patterns such as `ours`, `ours/A1`, `oidn/*` or `all`; `spp` are budgets
     in samples per pixel. Clips are those of a `preset`, all or the given `scenes` and `takes`
     ("main", "all"), and are rendered where they are missing; or those in the folders `clips`.
     `weights` is the path of a file or "random", whose rows are named `METHOD@weights_label`; None
@@ -102,7 +102,7 @@ def run(
 
     Raises RlbenchError for names, budgets, files or devices that cannot be used.
     """
-    patterns, folder = list(methods), Path(out)
+    patterns, folder = [methods] if isinstance(methods, str) else list(methods), Path(out)
     with registry.with_broken(patterns):
         plan = plan_run(
             registry.expand(patterns),

@@ -93,6 +93,13 @@ def test_the_answer_is_text_and_json(comparison):
     assert json.loads(msgspec.json.encode(comparison))["budgets"][0]["verdict"] == "leads"
 
 
+def test_a_probability_needs_four_scenes(comparison):
+    assert "with probability" in comparison_text(comparison)
+    results = to_dataframe(shifted(OFFSETS))
+    few = results[results["scene"].isin(sorted(OFFSETS)[:3])]
+    assert "probability" not in comparison_text(compare(few, "theirs", "ours"))
+
+
 @pytest.mark.parametrize(
     ("second", "metric", "message"),
     [
