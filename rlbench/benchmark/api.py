@@ -82,9 +82,9 @@ def run(
 ) -> pd.DataFrame:
     """Score and time methods on clips; returns the rows of this call, one number a row.
 
-    `methods` is one name or several, or patterns such as `ours`, `ours/A1`, `oidn/*` or `all`; `spp` are budgets
-    in samples per pixel. Clips are those of a `preset`, all or the given `scenes` and `takes`
-    ("main", "all"), and are rendered where they are missing; or those in the folders `clips`.
+    `methods` is one name or several, or patterns such as `ours`, `oidn/*` or `all`; `spp` are
+    budgets in samples per pixel. Clips are those of a `preset`, all or the given `scenes` and
+    `takes` ("main", "all"), and are rendered where they are missing; or those in the folders `clips`.
     `weights` is the path of a file or "random", whose rows are named `METHOD@weights_label`; None
     takes the shipped weights. `backend` runs the networks: "eager" is PyTorch, "openvino" and
     "compile" (torch.compile) are compilers, for rows `METHOD@openvino`, and "auto" takes OpenVINO

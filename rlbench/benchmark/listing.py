@@ -17,9 +17,9 @@ from rlbench.benchmark import cost
 from rlbench.family import Traits, Variant
 from rlbench.registry.near_names import unknown_name
 from rlbench.render.presets import GENERATORS, PRESETS, TEST_SCENES
-from rlbench.render.scene import Scene
 
 if TYPE_CHECKING:
+    from rlbench.render.scene import Scene
     from rlbench.weights import ModelCard
 
 __all__ = [

@@ -173,9 +173,9 @@ class CommandGroup(TyperGroup):
 
     def format_commands(self, ctx: Any, formatter: Any) -> None:
         """Write the commands in their groups, with one line each."""
-        *shown, last = self.groups
+        *first, last = self.groups
         width = max(map(len, self.list_commands(ctx)))
-        for title in self.groups if ctx.meta.get(HELP_ALL) else shown:
+        for title in self.groups if ctx.meta.get(HELP_ALL) else first:
             with formatter.section(title):
                 helps = {name: self.get_command(ctx, name) for name in self.groups[title]}
                 rows = [(f"{n:{width}}", each.get_short_help_str(100)) for n, each in helps.items()]

@@ -92,6 +92,8 @@ def _fill_templates(templates: list[str], name: str) -> dict[Path, str]:
     for template in templates:
         for source in sorted((TEMPLATES / template).rglob("*.*")):
             parts = source.relative_to(TEMPLATES / template).parts
+            if source.suffix == ".pyc":  # pip compiles what it installs
+                continue
             path = Path(*(name if part == PACKAGE else part for part in parts))
             text = Template(source.read_text()).substitute(name=name)
             files[path] = (files.get(path, "") if path.name in APPENDED else "") + text

@@ -39,7 +39,7 @@ def ensured(monkeypatch):
         (("--takes", "some"), "'some' is not one of 'main', 'all'"),
         (("--radiance-cap", "0"), "'0' is no number above 0"),
         (("--buffers", "taste"), "error: "),
-        (("--camera", "orbit"), "No such option: --camera"),
+        (("--camera", "orbit"), "--camera is for a scene FILE"),
         (("--ray-address", "auto"), "error: --ray-address auto applies to --engine ray only"),
     ],
 )

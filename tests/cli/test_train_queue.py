@@ -39,8 +39,8 @@ def test_each_entry_becomes_a_command_line_and_a_folder(trainings, tmp_path):
     file = write(tmp_path, "[queue]", "at_once = 3", *ROW, *keys, *later)
     rlbench("train", "--queue", file, "--out", "r", "--crop", 32)
     first, second, at_once = trainings
-    words = "--methods oidn/retrained --out r --frames 60 --crop 32 --train-spp 1,4 --bf16"
-    assert " ".join(first.words) == f"{words} --clips a --clips b"
+    words = "--methods oidn/retrained --out r --frames 60 --clips a --clips b --crop 32"
+    assert " ".join(first.words) == f"{words} --train-spp 1,4 --bf16"
     assert (first.folder, first.frames) == (Path("r/oidn-retrained-1+4spp"), 60)
     start = "--crop 32 --start r/oidn-retrained-1+4spp/retrained.safetensors"
     assert " ".join(second.words) == f"--methods ours/A2 --out r/later {start}"
@@ -51,7 +51,7 @@ def test_each_entry_becomes_a_command_line_and_a_folder(trainings, tmp_path):
 def test_one_training_at_a_time_runs_on_a_gpu(trainings, tmp_path):
     file = write(tmp_path, "[queue]", "at_once = 3", *ROW)
     rlbench("train", "--queue", file, "--device", "cuda", "--batch", 16)
-    assert trainings[0].words[-4:] == ("--batch", "16", "--device", "cuda")
+    assert trainings[0].words[-4:] == ("--device", "cuda", "--batch", "16")
     assert trainings[1] == 1
 
 

@@ -21,7 +21,7 @@ def test_every_group_has_plugins_of_our_own(group):
 
 
 def test_the_error_for_an_unknown_group_lists_the_groups():
-    with pytest.raises(PluginError, match="there are: methods, metrics, reports, pools, scenes"):
+    with pytest.raises(PluginError, match="there are: methods, metrics, reports, image_reports"):
         registry.list_plugins("denoisers")
 
 

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-from rlbench.cli.user_scene import select_tracer
+from rlbench.cli.render import select_tracer
 from rlbench.errors import OptionError
 from rlbench.render.cycles import clip, process, scene_file
 from rlbench.render.cycles.process import (
