@@ -84,7 +84,8 @@ def run(
 
     `methods` is one name or several, or patterns such as `ours`, `oidn/*` or `all`; `spp` are
     budgets in samples per pixel. Clips are those of a `preset`, all or the given `scenes` and
-    `takes` ("main", "all"), and are rendered where they are missing; or those in the folders `clips`.
+    `takes` ("main", "all"), and are rendered where they are missing; or those in the folders
+    `clips`.
     `weights` is the path of a file or "random", whose rows are named `METHOD@weights_label`; None
     takes the shipped weights. `backend` runs the networks: "eager" is PyTorch, "openvino" and
     "compile" (torch.compile) are compilers, for rows `METHOD@openvino`, and "auto" takes OpenVINO
