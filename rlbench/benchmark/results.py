@@ -221,7 +221,7 @@ def read(folder: Path) -> pd.DataFrame:
             newest[key] = file, stored[1]
     rows = [table for _, table in sorted(newest.values(), key=lambda each: each[0])]
     if not rows:
-        raise TableError(f"no results in {folder}: {_content(folder)}; rlbench run writes them")
+        raise TableError(f"no results in {folder}: {_content(folder)} (rlbench run writes them)")
     table: pd.DataFrame = pd.concat(rows, ignore_index=True)
     table.attrs["looks"] = count_looks(folder)
     return table
@@ -298,6 +298,8 @@ def _finished(folder: Path) -> dict[Path, CellId]:
 def _content(folder: Path) -> str:
     if not folder.is_dir():
         return "there is no such folder"
+    if nested := [child for child in sorted(folder.iterdir()) if _files(child)]:
+        return f"did you mean {' or '.join(str(child) for child in nested[:4])}?"
     files = sorted(file.name for file in folder.iterdir())
     more = f" and {len(files) - 4} more" if len(files) > 4 else ""
     return f"it holds {', '.join(files[:4])}{more}" if files else "the folder is empty"

@@ -99,6 +99,12 @@ def test_a_report_without_results_is_an_error(tmp_path):
     assert "error: no results in" in rlbench("report", "--results", tmp_path, code=2)
 
 
+def test_results_one_level_down_are_named(run_mean, tmp_path):
+    rlbench(*run_mean)
+    output = rlbench("report", "summary", "--results", tmp_path, code=2)
+    assert f"did you mean {tmp_path / 'r'}?" in output
+
+
 def test_a_pattern_selects_rows_of_variants_without_shipped_weights(tmp_path):
     rows = table.to_dataframe(
         [Row("r", name, "a", "a", 1, 1, 0, "psnr", 20.0) for name in NOT_PRETRAINED]
