@@ -63,9 +63,19 @@ export function verdict(gap, unit, tie) {
   return gap.low <= 0 && gap.high >= 0 ? "not resolved" : "trails";
 }
 
-/** Every method that fits the deadline at its best budget, the best first. */
+/** A curve over the budgets whose times are reliable, as `rlbench decide` ranks; null without any. */
+export function reliable(curve) {
+  const keep = (values) => values.filter((_, i) => !curve.unreliable[i]);
+  if (curve.unreliable.every(Boolean)) return null;
+  const [spp, units, fixed_ms, samples] = [curve.spp, curve.units, curve.fixed_ms, curve.samples].map(keep);
+  return { ...curve, spp, units, fixed_ms, samples, unreliable: spp.map(() => false) };
+}
+
+/** Every method that fits the deadline at its best reliable budget, the best first. */
 export function rank(curves, sampleMs, deadline, { sign, unit, student, tie }) {
-  const fitting = curves.flatMap((curve) => {
+  const fitting = curves.flatMap((each) => {
+    const curve = reliable(each);
+    if (!curve) return [];
     const spp = bestSpp(curve, sampleMs, deadline, sign);
     if (Number.isNaN(spp)) return [];
     const units = unitsAt(curve, spp);
@@ -78,7 +88,6 @@ export function rank(curves, sampleMs, deadline, { sign, unit, student, tie }) {
         ...interval(units, student),
         frameMs: frameTimeAt(curve, spp, sampleMs),
         isLargest: spp === curve.spp.at(-1),
-        isUnreliable: curve.unreliable.some(Boolean),
       },
     ];
   });

@@ -125,7 +125,7 @@ export function decideView() {
       `${metric().metric}: ${metric().convention}.`,
       `Frame time: inference on ${device().name || "an unnamed device"} + drawn samples x cost of a sample (measured: ${short(scope().sample_ms)} ms, ${metric().cost_source || "no source"}).`,
       `Intervals: 95 %, Student's t over ${scope().unit}. Between measured budgets scores are linear in log spp; none is extrapolated.`,
-      `${data.unreliable_mark} a time of this method is unreliable.`,
+      doubts(scope().curves),
       ...scope().missing.map((each) => `${each}.`),
     ].join(" ");
   };
@@ -135,7 +135,10 @@ export function decideView() {
 const unitText = () => (metric().unit ? ` ${metric().unit}` : "");
 const number = (value) => (metric().unit === "dB" ? value.toFixed(2) : short(value));
 const bracket = ({ low, high }) => (Number.isNaN(low) ? "" : ` [${number(low)}, ${number(high)}]`);
-const mark = (each) => (each.isUnreliable ? data.unreliable_mark : "");
+function doubts(curves) {
+  const names = curves.filter((each) => each.unreliable.some(Boolean)).map((each) => each.method);
+  return names.length ? `Hollow: unreliable times of ${names.join(", ")}, which are not ranked.` : "";
+}
 const lookOf = (ranked) => looks(ranked.slice(0, NAMED).map((each) => each.method));
 
 function describe(ranked) {
@@ -164,11 +167,6 @@ function describe(ranked) {
   }
   if (others.length > 1)
     parts.push(` ${others.length} methods tie with it or are not resolved from it.`);
-  const doubted = ranked
-    .slice(0, 2)
-    .filter((each) => each.isUnreliable)
-    .map((each) => each.method);
-  if (doubted.length) parts.push(` Times of ${doubted.join(" and ")} are unreliable.`);
   return parts;
 }
 
@@ -203,7 +201,7 @@ function tabulate(ranked) {
               class: "swatch",
               style: `background:${look.get(each.method)?.colour ?? "var(--faint)"}`,
             }),
-            each.method + mark(each),
+            each.method,
           ),
           h("td", {}, short(each.spp) + (each.isLargest ? " max" : "")),
           h("td", {}, number(each.mean)),

@@ -75,10 +75,11 @@ def test_a_scene_and_a_score_can_be_chosen(open_page):
     assert "relmse" in screen.text(".ranking thead")
 
 
-def test_unreliable_times_are_marked_and_their_points_hollow(open_page):
+def test_unreliable_times_are_not_ranked_and_their_points_are_hollow(open_page):
     screen = open_page("view=decide&sample=0.1&deadline=1000")
-    assert "eaw?" in screen.text(".ranking")
-    assert "svgf?" not in screen.text(".ranking")
+    assert "eaw" not in screen.text(".ranking")
+    assert "svgf" in screen.text(".ranking")
+    assert "unreliable times of eaw, which are not ranked" in screen.text("main")
     hollow = screen.page.locator("[data-curve='eaw'] circle[fill='var(--paper)']")
     assert hollow.count() == 2
     screen.press("b")
