@@ -8,6 +8,7 @@ import pandas as pd
 
 from rlbench.benchmark.results import (
     HELD_OUT_PREFIX,
+    IMAGES_PREFIX,
     TWO_DEVICES,
     UNRELIABLE,
     RowName,
@@ -16,6 +17,7 @@ from rlbench.benchmark.results import (
 
 VERSION = ["dtype", "code_hash", "weights_hash"]  # one value of each per method in a report
 REASONS = ("inference_ms", "sample_ms")  # the times whose notes give the reasons once
+FEW_METRICS = 3  # that a remark names one by one
 REQUESTED = ", requested "  # in a reason, before the budget that a sentence names anyway
 
 
@@ -133,10 +135,12 @@ def _check_versions(measured: pd.DataFrame) -> None:
     # in a cross-validation each scene has weights of its own
     is_held_out = measured["weights_hash"].str.startswith(HELD_OUT_PREFIX)
     held_out_scene = measured["scene"].where(is_held_out, "")
+    has_code = ~_is_from_elsewhere(measured)
     for column in VERSION:
-        method = measured["method"]
+        compared = measured[has_code] if column == "code_hash" else measured
+        method = compared["method"]
         groups = [method, held_out_scene] if column == "weights_hash" else [method]
-        for _, rows in measured.groupby(groups):
+        for _, rows in compared.groupby(groups):
             versions = sorted(set(rows[column]))
             if len(versions) > 1:
                 raise ReportError(
@@ -158,11 +162,29 @@ def skip_reasons(rows: pd.DataFrame) -> list[str]:
     return [f"{', '.join(names)} {place}" for place, names in methods.items()]
 
 
+def methods_from_elsewhere(rows: pd.DataFrame) -> list[str]:
+    """The methods whose images were made elsewhere, so that nothing of them was verified."""
+    return sorted(set(rows.loc[_is_from_elsewhere(rows), "method"]))
+
+
+def _is_from_elsewhere(rows: pd.DataFrame) -> pd.Series[bool]:
+    return rows["code_hash"].str.startswith(IMAGES_PREFIX)
+
+
 def remarks(rows: pd.DataFrame) -> list[str]:
-    """Notes on rows with a value, but those on times, each once for a method and metric."""
+    """Notes on rows with a value, but those on times, each once for a method and metric.
+
+    A note on many metrics names their number.
+    """
     is_about_times = rows["note"].str.startswith((UNRELIABLE, TWO_DEVICES))
     noted = rows[rows["value"].notna() & (rows["note"] != "") & ~is_about_times]
-    return sorted({f"{m}, {k}: {n}" for m, k, n in noted[["method", "metric", "note"]].to_numpy()})
+    lines = []
+    for (method, note), group in noted.groupby(["method", "note"]):
+        metrics = sorted(set(group["metric"]))
+        few = len(metrics) <= FEW_METRICS
+        lines += [f"{method}, {each}: {note}" for each in metrics] if few else []
+        lines += [] if few else [f"{method}, {len(metrics)} metrics: {note}"]
+    return sorted(lines)
 
 
 def unreliable_rows(rows: pd.DataFrame) -> pd.DataFrame:

@@ -13,6 +13,7 @@ from reports.analysis.rows import (
     check_comparable,
     cost_source,
     device_mixes,
+    methods_from_elsewhere,
     remarks,
     skip_reasons,
     split_by_device,
@@ -212,7 +213,11 @@ class Scores:
         """Time per sample of each method and scene; methods of other pools have other times."""
         samples = self.rows[self.rows["metric"] == "sample_ms"]
         clips: pd.Series[float] = samples.groupby(["method", "scene", "clip"])["value"].mean()
-        return clips.groupby(["method", "scene"]).mean().rename("sample_ms").reset_index()
+        scenes = clips.groupby(["method", "scene"]).mean().rename("sample_ms").reset_index()
+        # images made elsewhere are charged the path samples that other methods of the scene buy
+        paths = scenes.groupby("scene", as_index=False)["sample_ms"].min()
+        claimed = [paths.assign(method=each) for each in methods_from_elsewhere(self.rows)]
+        return pd.concat([scenes, *claimed], ignore_index=True)
 
 
 def scores_by_device(results: pd.DataFrame, metric: str = "psnr") -> Iterator[Scores]:

@@ -10,6 +10,7 @@ from typing import Any
 import pandas as pd
 
 from reports.analysis.differences import ALL_SCENES, LEADS, TRAILS, VERDICT_NOTE
+from reports.analysis.rows import methods_from_elsewhere
 from reports.analysis.scores import Scores
 
 Record = Mapping[Hashable, Any]
@@ -126,6 +127,8 @@ def score_table(scores: Scores, rank: pd.DataFrame, caption: str = "", subject: 
     title = (subject or scores.metric) + f" [{unit}]" * bool(unit)
     title += f", {scenes.pop() if scenes else 'mean over scenes'}"
     caption += RULES.get(scores.direction, "Not ranked.")
+    if claimed := [m for m in methods_from_elsewhere(scores.rows) if m in order]:
+        caption += f" Not verified, images and budget as claimed: {', '.join(claimed)}."
     return Table(title, caption, header, rows, SCORE_NOTE if scores.direction else "")
 
 

@@ -16,10 +16,10 @@ from rlbench.benchmark import cost
 from rlbench.benchmark.cell_key import CellId
 from rlbench.benchmark.results import HELD_OUT_PREFIX
 from rlbench.benchmark.run_plan import Cell, RunPlan, list_cells, weights_file
-from rlbench.clips.header import ClipError
+from rlbench.clips.header import ClipError, Header
 from rlbench.system import code_hash, provenance
 
-__all__ = ["CellIds"]
+__all__ = ["CellIds", "header_facts", "scoring_content"]
 
 SCORING = ("rlbench.benchmark.scoring",)  # images to numbers
 TIMING = (
@@ -45,9 +45,9 @@ class CellIds:
         wrappers = ["rlbench.wrappers"]
         content = (
             *(name, _clip_content(cell)),
-            *(header.cuts, header.light_changes, header.noise_ceiling_db, header.limitations),
+            *header_facts(header),
             *(cell.spp, cell.key.seed, cell.key.device),
-            *(self.code_hashes[name], self.weights_hashes[name], self._metrics),
+            *(self.code_hashes[name], self.weights_hashes[name], self._scoring),
             *(plan.limit_frames, torch.__version__, cell.is_trained_on_clip),
             self._code(*wrappers) if cell.bf16 else "",
             *((self._backend,) if cell.backend != EAGER else ()),
@@ -74,6 +74,10 @@ class CellIds:
     def weights_hashes(self) -> dict[str, str]:
         """Hash of each method's weights and versions of the packages that make its images."""
         return {name: self._weights_hash(name) for name in self.plan.methods}
+
+    @cached_property
+    def _scoring(self) -> str:
+        return scoring_content()
 
     @cached_property
     def _codes(self) -> dict[tuple[str, ...], str]:
@@ -111,17 +115,6 @@ class CellIds:
             for clip, pool in product(self.plan.clips, pools)
         }
 
-    @cached_property
-    def _metrics(self) -> str:
-        """Names of the run's metrics, hash of their code and of `SCORING`, and package versions."""
-        metrics = registry.load_run_metrics()
-        entries = registry.list_entries("metrics")
-        targets = [entries[name].target.partition(":")[0] for name in metrics]
-        modules = set().union(*map(code_hash.import_closure, targets))
-        hashed = code_hash.code_hash(modules, core=SCORING)
-        packages = sorted({name for metric in metrics.values() for name in metric.requires})
-        return f"{list(metrics)} {hashed} {provenance.package_versions(packages)}"
-
     def _charged(self, cell: Cell) -> tuple[object, ...]:
         """What the cost of a sample depends on, beyond the profile.
 
@@ -147,6 +140,22 @@ class CellIds:
             content += _hash_file(file)
         parts = content, provenance.package_versions(variant.requires)
         return ", ".join(filter(None, parts))
+
+
+def header_facts(header: Header) -> tuple[object, ...]:
+    """What rows take from a clip's header beside its images."""
+    return header.cuts, header.light_changes, header.noise_ceiling_db, header.limitations
+
+
+def scoring_content() -> str:
+    """Names of the run's metrics, hash of their code and of `SCORING`, and package versions."""
+    metrics = registry.load_run_metrics()
+    entries = registry.list_entries("metrics")
+    targets = [entries[name].target.partition(":")[0] for name in metrics]
+    modules = set().union(*map(code_hash.import_closure, targets))
+    hashed = code_hash.code_hash(modules, core=SCORING)
+    packages = sorted({name for metric in metrics.values() for name in metric.requires})
+    return f"{list(metrics)} {hashed} {provenance.package_versions(packages)}"
 
 
 def _clip_content(cell: Cell) -> str:

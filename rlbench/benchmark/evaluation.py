@@ -30,12 +30,12 @@ from rlbench.benchmark.scoring import (
     compare_frame,
     make_ground_truth,
     refusal_row,
+    results_of_images,
     score_clip,
     score_frame,
 )
 from rlbench.clips.stored import open_clip
 from rlbench.errors import OptionError
-from rlbench.frames import Samples, StoredPool
 from rlbench.run import FrameResult
 from rlbench.system import code_hash, provenance
 from rlbench.system.folder_lock import locked_folder
@@ -171,13 +171,13 @@ def _compare_frames(
     inputs = buffers_of_truth(each.metric for each in metrics) & set(kept.header.buffers)
     clip = open_clip(kept.clip.folder, inputs, max_samples=1, pool=kept.images.pool)
     metric, compared = metrics[0].metric, None
-    no_samples = torch.zeros(1, 1, 3, kept.header.height, kept.header.width)
-    for index in range(len(kept.images)):
-        image, counts = (torch.from_numpy(plane).float() for plane in kept.images.frame(index))
-        frame = clip.frame_with_pool(index, StoredPool(no_samples, (0,)))
-        samples = Samples(no_samples[:, :0], counts.long()[None, None])
-        result = FrameResult(frame, samples, image[None], repairs={})
-        truth = make_ground_truth(metric, frame)
+    stored = map(kept.images.frame, range(len(kept.images)))
+    images = (
+        (torch.from_numpy(image).float(), torch.from_numpy(counts).float())
+        for image, counts in stored
+    )
+    for result in results_of_images(clip, images):
+        truth = make_ground_truth(metric, result.frame)
         compared = compare_frame(metric, result, truth, compared, kept.images.max_samples)
         yield result, compared
 

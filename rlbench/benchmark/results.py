@@ -51,6 +51,7 @@ CLOCK_PREFIX = "clock_"  # of metrics that say how a cell's times were measured
 WHOLE_CLIP = -1  # `frame` of a number that belongs to no single frame
 SUFFIX = ".parquet"
 DAMAGED = ".damaged"  # added to the name of a row file that cannot be read
+IMAGES_PREFIX = "images "  # in `code_hash`, before the hash of images that were made elsewhere
 HELD_OUT_PREFIX = "without "  # in `weights_hash`, before the scene that a cross-validation held out
 BF16 = "bf16"  # label of rows whose networks ran in bfloat16
 COMPILERS = ("openvino", "compile")  # backends, labels of rows whose networks they ran
@@ -94,7 +95,7 @@ class Row:
     preset: str = ""  # of the clip, empty for a clip without one
     device: str = ""  # model name of the processor that ran the method
     dtype: str = ""  # precision of the method, such as float32
-    code_hash: str = ""  # of the method's code
+    code_hash: str = ""  # of the method's code, or of images that were made elsewhere
     weights_hash: str = ""  # of the method's weights, empty where it has none
     config: str = "{}"  # the method's config as JSON
     size: str = ""  # of the images, WIDTHxHEIGHT pixels

@@ -254,10 +254,12 @@ class CellRunner:
         self.ids = {cell.key: hashes.cell_id(cell) for cell in self.cells}
         self.templates = {
             cell.key: row_template(
-                cell,
+                cell.key,
+                cell.header,
                 hashes.run_id,
                 hashes.code_hashes[cell.method],
                 hashes.weights_hashes[cell.method],
+                "bfloat16" if cell.bf16 else "float32",
             )
             for cell in self.cells
         }

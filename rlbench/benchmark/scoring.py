@@ -15,11 +15,12 @@ import torch
 from torch import Tensor
 
 from rlbench import registry
+from rlbench.benchmark.cell_key import CellKey
 from rlbench.benchmark.results import COUNT_PREFIX, EVENT_PREFIX, NOISE_CEILING, WHOLE_CLIP, Row
-from rlbench.benchmark.run_plan import Cell
 from rlbench.clips.header import LIMITATIONS, Header
 from rlbench.clips.in_memory import ClipWrapper
-from rlbench.frames import Clip, Frame
+from rlbench.clips.stored import StoredClip
+from rlbench.frames import Clip, Frame, Samples, StoredPool
 from rlbench.ops.sanitize import sanitize_motion
 from rlbench.run import FrameResult
 from rlbench.wrappers import TileMemory
@@ -32,6 +33,7 @@ __all__ = [
     "count_rows",
     "make_ground_truth",
     "refusal_row",
+    "results_of_images",
     "row_template",
     "score_clip",
     "score_frame",
@@ -108,26 +110,49 @@ class GroundTruthCache:
         return GroundTruthCache, (self._metric,)
 
 
-def row_template(cell: Cell, run_id: str, code_hash: str, weights_hash: str) -> Row:
-    """A row of this cell, without a number."""
+def row_template(
+    key: CellKey,
+    header: Header,
+    run_id: str,
+    code_hash: str,
+    weights_hash: str = "",
+    dtype: str = "",
+    config: str = "{}",
+) -> Row:
+    """A row of this cell, on the clip of this header, without a number."""
     return Row(
         run_id=run_id,
-        method=cell.key.method,
-        clip=cell.header.name,
-        scene=cell.header.scene,
-        target_spp=cell.spp,
+        method=key.method,
+        clip=header.name,
+        scene=header.scene,
+        target_spp=key.target_spp,
         mean_spp=math.nan,
         frame=WHOLE_CLIP,
         metric="",
         value=math.nan,
-        seed=cell.key.seed,
-        preset=cell.header.preset,
-        device=cell.key.device,
-        dtype="bfloat16" if cell.bf16 else "float32",
+        seed=key.seed,
+        preset=header.preset,
+        device=key.device,
+        dtype=dtype,
         code_hash=code_hash,
         weights_hash=weights_hash,
-        size=f"{cell.header.width}x{cell.header.height}",
+        config=config,
+        size=f"{header.width}x{header.height}",
     )
+
+
+def results_of_images(
+    clip: StoredClip, images: Iterable[tuple[Tensor, Tensor]]
+) -> Iterator[FrameResult]:
+    """Images [3 h w] and sample counts [h w] of a clip's frames, as if a method had made them.
+
+    No sample is read from the clip.
+    """
+    no_samples = torch.zeros(1, 1, 3, *clip.size[1:])
+    for index, (image, counts) in enumerate(images):
+        frame = clip.frame_with_pool(index, StoredPool(no_samples, (0,)))
+        samples = Samples(no_samples[:, :0], counts[None, None])
+        yield FrameResult(frame, samples, image[None], repairs={})
 
 
 def refusal_row(template: Row, reason: str) -> Row:
