@@ -1,0 +1,107 @@
+"""The commands export and score: from a clip to another program's row among those of a run."""
+
+from __future__ import annotations
+
+import pytest
+
+from rlbench.benchmark import results as table
+from tests.cli.runner import rlbench
+from tests.conftest import write_noise
+
+COSTS = ("--sample-ms", 4.2, "--frame-ms", 60_000, "--allow-unreliable")
+
+
+@pytest.fixture(scope="module")
+def root(tmp_path_factory):
+    """Two clips, the rows of `mean`, and the exported samples as images of another program."""
+    root = tmp_path_factory.mktemp("score")
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv("RLBENCH_CACHE", str(root / "cache"))
+        for scene in ("city", "temple"):
+            write_noise(root / "clips" / scene, scene)
+        words = ("--clips", root / "clips", "--out", root / "r", "--spp", 1, "--repeats", 2)
+        rlbench("run", "-m", "mean", "--keep-images", *words)
+        output = rlbench("export", root / "clips", "--format", "oidn", "--out", root / "exported")
+        assert "oidnDenoise --hdr" in output
+    for file in (root / "exported").glob("*/[an]*.pfm"):  # albedo and normal are no images
+        file.unlink()
+    return root
+
+
+def score(root, *words, code=0, out="r"):
+    fixed = ("--spp", 1, "--clips", root / "clips", "--out", root / out)
+    return rlbench("score", "theirs", root / "exported", *fixed, *words, code=code)
+
+
+@pytest.fixture(scope="module")
+def scored(root):
+    """What was printed of images without a time, in the results folder."""
+    return score(root)
+
+
+def test_the_end_says_scores_and_that_nobody_verified_them(scored, root):
+    assert "theirs on city at 1 spp: PSNR" in scored
+    assert "not verified" in scored
+    assert "not ranked by time" in scored
+    assert "scored before" in score(root)
+
+
+def test_the_mean_of_exported_samples_is_the_row_mean(scored, root):
+    rows = table.read(root / "r").query("metric == 'psnr' and frame >= 0")
+    means = rows.groupby(["method", "clip"])["value"].mean().unstack("clip")
+    assert means.loc["theirs"].to_list() == pytest.approx(means.loc["mean"].to_list(), abs=1e-4)
+
+
+def test_reports_have_the_row_and_say_that_it_is_not_verified(scored, root, tmp_path):
+    rlbench("report", "summary", "--results", root / "r", "--out", tmp_path)
+    text = (tmp_path / "summary.md").read_text()
+    assert "| theirs |" in text
+    assert "Not verified, images and budget as claimed: theirs." in text
+
+
+def test_compare_decide_and_regress_take_the_row(scored, root):
+    words = ("--results", root / "r")
+    output = rlbench("compare", "-m", "theirs,mean", *words)
+    assert "tie" in output
+    assert "not verified" in output
+    assert "theirs has no time" in rlbench("decide", *COSTS, *words)
+    baseline = ("--baseline", root / "base.json")
+    rlbench("regress", *words, *baseline, "--update")
+    assert "passed: 4 same" in rlbench("regress", *words, *baseline)
+
+
+def test_view_and_images_show_the_kept_images(scored, root, tmp_path):
+    rlbench("view", root / "r", "--clips", root / "clips", "--out", tmp_path / "page.html")
+    page = (tmp_path / "page.html").read_text()
+    assert "theirs" in page
+    assert "not verified" in page
+    output = rlbench("evaluate", root / "r", "-m", "theirs", "--clips", root / "clips")
+    assert "2 scored" in output
+
+
+@pytest.mark.parametrize("device", ["", "RTX 4090"])
+def test_a_claimed_time_is_ranked_on_its_device(root, device):
+    out = f"timed {device}"
+    run = ("--clips", root / "clips", "--out", root / out, "--spp", 1, "--repeats", 2)
+    rlbench("run", "-m", "mean", *run)
+    score(root, "--ms", 2.5, *(("--device", device) if device else ()), out=out)
+    words = ("decide", *COSTS, "--results", root / out)
+    output = rlbench(*words, *(("--device", device) if device else ()))
+    assert "theirs at 1 spp" in output
+    assert "(2.5 inference + 4.2 sampling)" in output or "theirs 1 6.7" in output
+    assert "not verified: the time is claimed" in output
+    assert ("mean at 1 spp" in output) == (not device)
+
+
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [
+        (("--scenes", "cty"), "Did you mean 'city'?"),
+        (("--device", "RTX 4090"), "add --ms"),
+        (("--samples", "absent"), "absent does not exist"),
+    ],
+)
+def test_wrong_use_of_score_is_one_message(root, words, message):
+    output = score(root, *words, code=2)
+    assert message in output
+    assert "Traceback" not in output
