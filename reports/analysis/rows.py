@@ -17,7 +17,7 @@ from rlbench.benchmark.results import (
 
 VERSION = ["dtype", "code_hash", "weights_hash"]  # one value of each per method in a report
 REASONS = ("inference_ms", "sample_ms")  # the times whose notes give the reasons once
-FEW_METRICS = 3  # that a remark names one by one
+FEW_METRICS = 2  # that a remark names one by one
 REQUESTED = ", requested "  # in a reason, before the budget that a sentence names anyway
 
 

@@ -290,14 +290,14 @@ def _score(
         frames.append(KeptFrame.of(result))
         pixels = add_counts(pixels, result.samples.counts) if images.counts else pixels
         on_frame()
-    whole = replace(template, mean_spp=fmean({r.frame: r.mean_spp for r in rows}.values()))
+    clip_row = replace(template, mean_spp=fmean({r.frame: r.mean_spp for r in rows}.values()))
     rows += count_rows(template, pixels) if images.counts else []
     rows += [
-        with_value(whole, each.name, math.nan, each.convention, UNKNOWN_COUNTS)
+        with_value(clip_row, each.name, math.nan, each.convention, UNKNOWN_COUNTS)
         for each in every_metric
         if each not in metrics
     ]
-    rows += _time_rows(claim, whole)
+    rows += _time_rows(claim, clip_row)
     kept = CellImages(pool, clip.digest, header.pool_spp, frames)
     return rows, kept, remarks
 

@@ -29,7 +29,7 @@ def export(
         bool, flag(None, "--reference", "also write the reference; never give it to a denoiser")
     ] = False,
 ) -> None:
-    """Write the noisy input and the buffers of clips for a denoiser of another program.
+    """Write noisy input and buffers of clips for another program.
 
     oidn: color, albedo and normal as PFM. nrd: the textures of NRD, demodulated. exr: one
     multilayer EXR a frame, with Blender's names. Radiance is linear, as in the clip's files. The

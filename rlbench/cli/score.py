@@ -74,7 +74,7 @@ def score(
     preset: options.Preset = "mini",
     takes: options.Takes = None,
 ) -> None:
-    """Score images made elsewhere, as rows that reports, compare, view and regress treat alike.
+    """Score images made elsewhere, as rows beside those of a run.
 
     One image a frame, at the size of the clip, numbered in its names: EXR or PFM with the linear
     radiance of the clip's files (rlbench export writes what a denoiser reads), or PNG, 8-bit sRGB
