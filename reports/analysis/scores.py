@@ -217,7 +217,7 @@ class Scores:
         # images made elsewhere are charged the path samples that other methods of the scene buy
         paths = scenes.groupby("scene", as_index=False)["sample_ms"].min()
         claimed = [paths.assign(method=each) for each in methods_from_elsewhere(self.rows)]
-        return pd.concat([scenes, *claimed], ignore_index=True)
+        return pd.DataFrame(pd.concat([scenes, *claimed], ignore_index=True))
 
 
 def scores_by_device(results: pd.DataFrame, metric: str = "psnr") -> Iterator[Scores]:

@@ -20,6 +20,7 @@ from typing import Any
 
 import numpy as np
 import torch
+from numpy.typing import NDArray
 from torch import Tensor
 
 from rlbench import registry
@@ -364,7 +365,8 @@ def _read_image(file: Path, size: tuple[int, int]) -> Tensor:
 def _read_counts(file: Path, size: tuple[int, int]) -> Tensor:
     """Samples of each pixel [h w], whole numbers."""
     try:
-        counts = np.load(file) if file.suffix == ".npy" else read_exr(file, COUNTS)[..., 0]
+        is_exr = file.suffix.lower() == ".exr"
+        counts: NDArray[Any] = read_exr(file, COUNTS)[..., 0] if is_exr else np.load(file)
     except (SourceError, ValueError, OSError) as error:
         raise ForeignImagesError(f"{file} cannot be read: {error}") from error
     if counts.shape != size:

@@ -77,7 +77,7 @@ def _write_exr(folder: Path, frame: str, images: Images) -> None:
         depth = images["depth"]
         layers["Depth"] = "Z", np.where(np.isposinf(depth), BLENDER_SKY, depth)
     if "motion" in images:
-        layers["Vector"] = "XY", images["motion"] * np.float32([1, -1])
+        layers["Vector"] = "XY", images["motion"] * np.array([1, -1], np.float32)
     planes = {
         f"{LAYER}.{name}.{letter}": plane
         for name, (letters, pixels) in layers.items()
