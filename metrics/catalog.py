@@ -257,5 +257,6 @@ NONFINITE = Metric(
     "lower",
     "pixels with a NaN or infinite channel",
     _nonfinite,
+    needs_reference=False,
     source="a count",
 )

@@ -111,6 +111,7 @@ AT_CAP = Metric(
     "",
     "pixels with as many samples as the clip has, or as the method allows",
     _at_cap,
+    needs_reference=False,
     needs=("counts", "max_samples"),
     source="Scardigli et al. 2023",
 )

@@ -201,6 +201,12 @@ class Comparison:
         """True if `counts`, `max_samples` or `motion` is known; a static frame's motion is 0."""
         return getattr(self, name) is not None or (name == "motion" and self.static)
 
+    def has_references(self, frames_before: int) -> bool:
+        """True if this frame has a reference, and those of the `frames_before` it that are kept."""
+        previous = self.previous if frames_before else None
+        rest = previous is None or previous.has_references(frames_before - 1)
+        return self.truth.has_reference and rest
+
     def _keep_before(self, count: int) -> Comparison:
         """This frame and all that it computed, with at most `count` frames before it."""
         if self.previous is None or self.frames_before <= count:

@@ -19,8 +19,9 @@ class GroundTruth:
     """What images of one frame are compared with; each derived image is computed once.
 
     The two independent halves of the reference are [n 3 h w] in linear radiance, where 1.0 is
-    display white, and must be finite. The images of all methods and budgets are compared with one
-    object, so its tensors must not be written to.
+    display white, and must be finite; those of a frame without a reference are NaN alone. The
+    images of all methods and budgets are compared with one object, so its tensors must not be
+    written to.
 
     >>> import torch
     >>> truth = GroundTruth(torch.zeros(1, 3, 8, 8), torch.ones(1, 3, 8, 8))
@@ -37,6 +38,11 @@ class GroundTruth:
 
     _encoded: dict[str, Tensor] = field(default_factory=dict, init=False, repr=False)
     _windows: dict[str, list[Any]] = field(default_factory=dict, init=False, repr=False)
+
+    @cached_property
+    def has_reference(self) -> bool:
+        """False for a frame without a reference, whose halves are NaN alone."""
+        return not bool(self.half_a.flatten()[0].isnan())
 
     @cached_property
     def mean(self) -> Tensor:

@@ -47,6 +47,7 @@ class Metric:
     score: Score | ClipScore
     fit: Callable[[int, int], Metric] | None = None  # (height, width) to the metric at that size
     needs_reference_halves: bool = False  # undefined unless the halves are independent
+    needs_reference: bool = True  # False: a score of the image or its samples alone
     previous_frames: int = 0  # that the score reads, 0 to MAX_PREVIOUS
     scores_previous: bool = False  # of the image before, which is shown in place of this one
     requires: tuple[str, ...] = ()  # Python distributions; a new version invalidates old scores

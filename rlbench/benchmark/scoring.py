@@ -46,6 +46,7 @@ EVENTS = {"cut": "another shot begins", "light": "lights change"}
 COUNTED = "share of the pixels of all frames, pilot samples included"
 CEILING = "the clip's header: PSNR of the noise-free image against the reference"
 REPAIRED = "invalid pixels and samples, replaced before the method read them"
+NO_REFERENCE = "the frame, or one before it that the metric reads, has no reference"
 SKIPPED = "share of pixels kept from the last image, in tiles that did not change"
 
 
@@ -258,6 +259,8 @@ def score_clip(template: Row, generic: Any, comparisons: Sequence[Any], header: 
 
 def _missing_input(metric: Any, comparison: Any, header: Header) -> str:
     """Why a metric has no score of a frame; empty if it has one."""
+    if metric.needs_reference and not comparison.has_references(metric.previous_frames):
+        return NO_REFERENCE
     if metric.needs_reference_halves and "halves" in header.limitations:
         return LIMITATIONS["halves"]
     lacks = [name for name in metric.needs if not comparison.has(name)]

@@ -20,6 +20,7 @@ __all__ = [
     "file_kinds",
     "has_frame",
     "image_names",
+    "is_no_reference",
     "nonfinite_mask",
     "write_frame",
     "write_pool",
@@ -93,7 +94,7 @@ def write_frame(
         gbuffer: buffers [h w c] by name, in the conventions of `rlbench.frames.GBuffer`; a static
             clip has no motion.
         pools: samples [s h w 3] by kind of pool: independent 1-spp images.
-        half_a: one half of the reference, [h w 3].
+        half_a: one half of the reference, [h w 3]; NaN alone where the frame has none.
         half_b: the other, independent half, [h w 3].
 
     Raises:
@@ -143,6 +144,11 @@ def nonfinite_mask(name: str, array: NDArray[Any]) -> NDArray[np.bool_]:
     return np.logical_and(bad, ~np.isposinf(array)) if name.startswith("depth") else bad
 
 
+def is_no_reference(half: NDArray[Any]) -> bool:
+    """Whether an image is NaN alone, as a frame without a reference has it in place of one."""
+    return bool(np.isnan(half).all())
+
+
 def exceeds_float(radiance: NDArray[Any], exposure: float) -> bool:
     """Whether exposed radiance is beyond the largest float32, in which methods receive it."""
     return float(np.abs(radiance).max(initial=0)) * exposure > MAX_FLOAT
@@ -182,7 +188,8 @@ def _check(
     for name, (array, shape) in arrays.items():
         if np.shape(array) != shape:
             raise ClipError(f"frame {index}: {name} has shape {np.shape(array)}, expected {shape}")
-        _check_values(index, name, array)
+        if not (name.startswith("reference") and is_no_reference(array)):
+            _check_values(index, name, array)
 
 
 def _check_values(index: int, name: str, array: NDArray[Any]) -> None:

@@ -60,6 +60,8 @@ LIMITATIONS = {  # what an imported clip may not have, although the format requi
         f"no {name}": f"the source has no {name}, so {name} is a constant without information"
         for name in STANDARD_BUFFERS
     },
+    "no reference": "some frames or all have no reference, which is NaN in their files, so they "
+    "have no scores",
     "reference jitter": "the reference is moved within the pixel as the samples are, so it shakes",
     "sky motion": "the source has no motion of the sky, so it points outside the image",
     "flow": "motion was estimated by optical flow of albedo, because the source has none",

@@ -33,6 +33,11 @@ def find_own_clips(folders: Iterable[str | Path], use: PresetUse = "train") -> l
     clips = list({folder.resolve(): folder for folder in found}.values())
     for folder in clips:
         header = read_header(folder)
+        if "no reference" in header.limitations:
+            raise ClipError(
+                f"clip '{header.name}' in {folder} has frames without a reference, and trainings "
+                "compare with it. Leave the clip out"
+            )
         if not is_clip_for(use, header.preset, header.scene, header.name):
             raise OptionError(
                 f"clip '{header.name}' in {folder} belongs to preset '{header.preset}', which is "

@@ -18,7 +18,7 @@ from torch import Tensor
 from rlbench import registry
 from rlbench.clips.exr import read_exr
 from rlbench.clips.frame_files import channel_names, exr_path, image_names
-from rlbench.clips.header import Header, read_header
+from rlbench.clips.header import ClipError, Header, read_header
 from rlbench.clips.importers import writer
 from rlbench.clips.importers.dump import find_dump_sequences
 from rlbench.clips.importers.layout import Layout
@@ -95,9 +95,13 @@ def read_clip_arrays(folder: Path, frames: int = 8) -> ClipArrays:
     for kind in filter(_is_independent, header.pools):
         planes = read(f"pool.{kind}", image_names(header, f"pool.{kind}"))
         pools[kind] = planes.view(len(planes), -1, 3, header.height, header.width)
-    return ClipArrays(
-        header, gbuffer, pools, read("referenceA", ["rgb"]), read("referenceB", ["rgb"])
-    )
+    halves = (read("referenceA", ["rgb"]), read("referenceB", ["rgb"]))
+    if "no reference" in header.limitations and halves[0].flatten(1).isnan().all(1).any():
+        raise ClipError(
+            f"{folder} has frames without a reference among its first {len(indices)}; the linter "
+            "compares with references. Read fewer frames: rlbench lint --frames 1"
+        )
+    return ClipArrays(header, gbuffer, pools, *halves)
 
 
 def _is_independent(pool: str) -> bool:

@@ -138,14 +138,19 @@ def _select(name: str, numbered: Mapping[int, Mapping[str, Files]], layout: Layo
     absent = []
     for image in layout.images:
         having = [number for number, files in frames.items() if files.images.get(image)]
-        if image in ("radiance", "reference"):
+        if image == "radiance" or (image == "reference" and not layout.reference.optional):
             _require(name, image, having, frames, layout, numbered)
+        elif image == "reference":
+            continue
         elif not having or not has_image(frames[having[0]], image, layout):
             absent.append(image)
             _check_absent(name, image, having[1:], frames, layout)
         elif len(having) < len(frames):
             select_frames(f"clip '{name}', {image}", having, (min(frames), max(frames) + 1))
-    halves = min(2, *(len(files.images["reference"]) for files in frames.values()))
+    halves = min(
+        (count for f in frames.values() if (count := len(f.images["reference"]))), default=1
+    )
+    halves = min(2, halves)
     read = {n: files.without(absent).with_references(halves) for n, files in frames.items()}
     return _Selection(read, halves, tuple(absent))
 
@@ -177,7 +182,8 @@ def _require(
         reason = {
             "radiance": "no image of 1 spp, and a mean of more cannot be separated into the "
             "samples that methods draw",
-            "reference": "no reference, so nothing can be scored on it",
+            "reference": "no reference, so nothing can be scored on it (if that is meant, set "
+            "optional = true in [reference] of a layout)",
         }[image]
         raise SourceError(
             f"clip '{name}', frame {number} has {reason}: expected {patterns}; "
@@ -216,6 +222,8 @@ def _reference_spp(files: FrameFiles, layout: Layout, halves: int) -> int:
 
 def _limitations(layout: Layout, found: _Selection, has_previous: bool) -> tuple[str, ...]:
     limitations = [] if found.halves == 2 else ["halves"]
+    if not all(files.images["reference"] for files in found.frames.values()):
+        limitations.append("no reference")
     if "srgb" in (layout.radiance.encoding, layout.reference.encoding):
         limitations.append("linear")
     normal = layout.normal

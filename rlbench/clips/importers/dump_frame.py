@@ -115,7 +115,7 @@ def read_frame(
     halves = [
         _modulate(decode_curve(image, layout.reference.encoding), layout.reference, gbuffer)
         for image in reader.read_all("reference", 2)
-    ]
+    ] or [np.full((*size, 3), np.nan, np.float32)]
     return ImportedFrame(
         gbuffer=gbuffer,
         pool=pool,

@@ -63,10 +63,11 @@ class Radiance(Image):
 class Reference(Image):
     """The converged image. `spp` is that of both halves together; 0: from the name, or unknown.
 
-    `jittered`: it is moved within the pixel as the samples are.
+    `jittered`: it is moved within the pixel as the samples are. `optional`: frames may have none.
     """
 
     spp: int = 0
+    optional: bool = False
     jittered: bool = False
     encoding: Curve = "linear"
     alpha: Alpha = "premultiplied"

@@ -11,7 +11,7 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from rlbench.clips.frame_files import nonfinite_mask
+from rlbench.clips.frame_files import is_no_reference, nonfinite_mask
 from rlbench.clips.importers.sequence import ImportedFrame, Pixels, SourceError
 from rlbench.ops.sanitize import RULES, sanitize_radiance
 
@@ -67,7 +67,7 @@ def check_finite(clip: str, number: int, frame: ImportedFrame) -> None:
     buffers = {(name, 0): image for name, image in frame.gbuffer.items()}
     for (name, slot), image in (samples | halves | buffers).items():
         mask = nonfinite_mask(name, np.asarray(image))
-        if not mask.any():
+        if not mask.any() or (name == "reference" and is_no_reference(image)):
             continue
         row, column = np.argwhere(mask)[0][:2]
         sources = (name, *ADDED) if name == "radiance" else (name, "albedo")
@@ -96,6 +96,8 @@ def repair_frame(frame: ImportedFrame) -> ImportedFrame:
         return _channels_last(valid)
 
     def repair_radiance(name: str, image: Pixels) -> Pixels:
+        if name == "reference" and is_no_reference(image):
+            return image
         values = _channels_first(image)
         wrong = ~(values.isfinite() & (values >= 0)).all(-3, keepdim=True)
         counts[f"repaired {name}"] += int(wrong.sum())

@@ -11,11 +11,17 @@ import numpy as np
 
 from rlbench.clips.compatibility import compatibility_summary
 from rlbench.clips.exposure import area_luminance, exposure_from_areas
-from rlbench.clips.frame_files import exceeds_float, file_kinds, has_frame, write_frame
+from rlbench.clips.frame_files import (
+    exceeds_float,
+    file_kinds,
+    has_frame,
+    is_no_reference,
+    write_frame,
+)
 from rlbench.clips.header import FILE, Header, read_header, write_header
 from rlbench.clips.importers import limits
 from rlbench.clips.importers.repairs import Findings, check_finite, repair_frame
-from rlbench.clips.importers.sequence import ImportedFrame, ImportedSequence, SourceError
+from rlbench.clips.importers.sequence import ImportedFrame, ImportedSequence, Pixels, SourceError
 from rlbench.system import paths
 
 __all__ = ["change_exposure", "clip_header", "estimate_exposure", "is_finished", "write_clip"]
@@ -71,8 +77,13 @@ def estimate_exposure(sequence: ImportedSequence, sanitize: bool = False) -> flo
     count = min(len(sequence.numbers), MAX_EXPOSURE_FRAMES)
     chosen = [sequence.numbers[round(i)] for i in np.linspace(0, len(sequence.numbers) - 1, count)]
     frames = (_read_valid(sequence, number, 1, sanitize) for number in chosen)
-    areas = np.stack([area_luminance(frame.half_a) for frame in frames])
+    areas = np.stack([area_luminance(_clearest_image(frame)) for frame in frames])
     return exposure_from_areas(areas) if areas.max() > 0 else 1.0
+
+
+def _clearest_image(frame: ImportedFrame) -> Pixels:
+    """The reference of a frame, or its sample where there is none."""
+    return frame.pool[0] if is_no_reference(frame.half_a) else frame.half_a
 
 
 def write_clip(
