@@ -347,7 +347,7 @@ def _read_image(file: Path, size: tuple[int, int]) -> Tensor:
     suffix = file.suffix.lower()
     try:
         if suffix == ".png":
-            pixels = read_png(file).astype(np.float32) / 255
+            pixels: NDArray[Any] = read_png(file).astype(np.float32) / 255
         else:
             pixels = read_pfm(file) if suffix == ".pfm" else read_exr(file, RGB)
     except (SourceError, ClipError, OSError) as error:
@@ -366,7 +366,9 @@ def _read_counts(file: Path, size: tuple[int, int]) -> Tensor:
     """Samples of each pixel [h w], whole numbers."""
     try:
         is_exr = file.suffix.lower() == ".exr"
-        counts: NDArray[Any] = read_exr(file, COUNTS)[..., 0] if is_exr else np.load(file)
+        counts: NDArray[Any] = np.asarray(
+            read_exr(file, COUNTS)[..., 0] if is_exr else np.load(file)
+        )
     except (SourceError, ValueError, OSError) as error:
         raise ForeignImagesError(f"{file} cannot be read: {error}") from error
     if counts.shape != size:
@@ -375,4 +377,4 @@ def _read_counts(file: Path, size: tuple[int, int]) -> Tensor:
         )
     if not (np.isfinite(counts) & (counts >= 0) & (counts == np.floor(counts))).all():
         raise ForeignImagesError(f"{file}: counts must be whole numbers from 0 on")
-    return torch.from_numpy(counts.clip(max=HALF_MAX).astype(np.int64))
+    return torch.from_numpy(np.asarray(counts.clip(max=HALF_MAX), np.int64))

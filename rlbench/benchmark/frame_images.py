@@ -18,6 +18,7 @@ from torch import Tensor
 from rlbench import registry
 from rlbench.benchmark.run_plan import Cell, CellLoader, RunPlan, list_cells
 from rlbench.clips.exr import write_exr
+from rlbench.clips.frame_files import is_no_reference
 from rlbench.clips.header import Header
 from rlbench.errors import RlbenchError
 from rlbench.ops.color import encode_srgb
@@ -190,6 +191,11 @@ class LinearImage:
         return rgb8
 
     @property
+    def is_absent(self) -> bool:
+        """Is it the reference of a frame that has none?"""
+        return is_no_reference(self.radiance)
+
+    @property
     def nonfinite_pixels(self) -> int:
         """Number of pixels with a NaN or infinite channel."""
         return int((~np.isfinite(self.radiance).all(-1)).sum())
@@ -202,7 +208,7 @@ class MethodImage:
     row_name: str  # of the method, as in the results
     image: LinearImage
     counts: Int[Array, "h w"]  # samples of each pixel
-    psnr: float  # dB
+    psnr: float  # dB; nan for a frame without a reference
 
 
 def draw_sheet(
@@ -211,11 +217,13 @@ def draw_sheet(
     """Write a PNG with a column for each method, reference first; returns `file`.
 
     Its rows are images, errors, for several methods their squared error minus that of the best one,
-    and, if any method is adaptive, samples of each pixel.
+    and, if any method is adaptive, samples of each pixel. Without a reference, the second row has
+    the differences to the first method.
     """
     from matplotlib.figure import Figure
 
-    is_adaptive, is_compared = any(map(_is_adaptive, methods)), len(methods) > 1
+    is_adaptive = any(map(_is_adaptive, methods))
+    is_compared = len(methods) > 1 and not reference.is_absent
     rows, columns = 2 + is_compared + is_adaptive, 1 + len(methods)
     h, w, _ = reference.radiance.shape
     width, height = PANEL_INCHES * columns, (PANEL_INCHES * h / w + TITLE_INCHES) * rows
@@ -241,20 +249,28 @@ def draw_sheet(
 def _draw_images(
     row: Sequence[Axes], methods: Sequence[MethodImage], reference: LinearImage
 ) -> None:
-    _panel(row[0], reference.rgb8, "reference")
+    if reference.is_absent:
+        _write(row[0], "no reference")
+    else:
+        _panel(row[0], reference.rgb8, "reference")
     for axes, method in zip(row[1:], methods, strict=True):
         nonfinite = method.image.nonfinite_pixels
+        score = "" if reference.is_absent else f"  {method.psnr:.2f} dB"
         warning = f", {nonfinite} not finite" if nonfinite else ""
-        _panel(axes, method.image.rgb8, f"{method.row_name}  {method.psnr:.2f} dB{warning}")
+        _panel(axes, method.image.rgb8, f"{method.row_name}{score}{warning}")
 
 
 def _draw_errors(
     row: Sequence[Axes], methods: Sequence[MethodImage], reference: LinearImage
 ) -> None:
+    """Absolute errors; without a reference, differences to the image of the first method."""
+    first, word = methods[0], "difference" if reference.is_absent else "error"
+    truth = first.image if reference.is_absent else reference
+    title = f"difference to {first.row_name}" if reference.is_absent else "error"
     for axes, method in zip(row[1:], methods, strict=True):
-        error = np.abs(method.image.srgb - reference.srgb).mean(-1)
-        drawn = _panel(axes, error, "error", cmap="magma", vmin=0, vmax=MAX_ERROR)
-    _color_bar(row[0], drawn, "absolute error in sRGB,\nmean over channels", "max")
+        error = np.abs(method.image.srgb - truth.srgb).mean(-1)
+        drawn = _panel(axes, error, title, cmap="magma", vmin=0, vmax=MAX_ERROR)
+    _color_bar(row[0], drawn, f"absolute {word} in sRGB,\nmean over channels", "max")
 
 
 def _draw_differences(
