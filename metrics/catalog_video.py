@@ -6,7 +6,15 @@ from typing import Any
 
 from metrics.metric import Comparison, Metric
 
-__all__ = ["AT_CAP", "EFFORT_ERROR", "EFFORT_NOISE", "FLICKER", "PSNR_LATE", "WARPED_ERROR"]
+__all__ = [
+    "AT_CAP",
+    "EFFORT_ERROR",
+    "EFFORT_NOISE",
+    "FLICKER",
+    "IMAGE_FLICKER",
+    "PSNR_LATE",
+    "WARPED_ERROR",
+]
 
 Tensor = Any  # torch.Tensor; the first score imports torch, so that listing metrics is fast
 
@@ -22,6 +30,19 @@ def _flicker(frame: Comparison) -> Tensor:
 
     previous: Any = frame.previous
     return flicker(frame.change_of_error, previous.change_of_error)
+
+
+def _image_flicker(frame: Comparison) -> Tensor:
+    from metrics.temporal import change_of_error, flicker
+
+    def step(newer: Any) -> Any:
+        images = (
+            each.display_image.masked_fill(each.nonfinite_mask, float("nan"))
+            for each in (newer, newer.previous)
+        )
+        return change_of_error(*images, newer.truth.previous_positions)
+
+    return flicker(step(frame), step(frame.previous))
 
 
 def _psnr_late(frame: Comparison) -> Tensor:
@@ -81,6 +102,19 @@ FLICKER = Metric(
     "sRGB; none where all motion leaves the image",
     _flicker,
     previous_frames=2,
+    needs=("motion",),
+    source="second difference in time; definition ours",
+)
+IMAGE_FLICKER = Metric(
+    "image_flicker",
+    "%",
+    "lower",
+    "RMS of the image's second difference along the motion / sqrt(6), of the range of clipped "
+    "sRGB, without a reference; none where all motion leaves the image",
+    _image_flicker,
+    needs_reference=False,
+    previous_frames=2,
+    scored_by_run=False,
     needs=("motion",),
     source="second difference in time; definition ours",
 )

@@ -94,7 +94,7 @@ def write_frame(
         gbuffer: buffers [h w c] by name, in the conventions of `rlbench.frames.GBuffer`; a static
             clip has no motion.
         pools: samples [s h w 3] by kind of pool: independent 1-spp images.
-        half_a: one half of the reference, [h w 3]; NaN alone where the frame has none.
+        half_a: one half of the reference, [h w 3]; both are NaN alone where the frame has none.
         half_b: the other, independent half, [h w 3].
 
     Raises:
@@ -185,10 +185,11 @@ def _check(
     arrays = {name: (image, (*size, BUFFER_CHANNELS[name])) for name, image in gbuffer.items()}
     arrays |= {f"pool.{k}": (p, (np.shape(p)[0], *size, 3)) for k, p in pools.items()}
     arrays |= {"referenceA": (half_a, (*size, 3)), "referenceB": (half_b, (*size, 3))}
+    has_none = is_no_reference(half_a) and is_no_reference(half_b)
     for name, (array, shape) in arrays.items():
         if np.shape(array) != shape:
             raise ClipError(f"frame {index}: {name} has shape {np.shape(array)}, expected {shape}")
-        if not (name.startswith("reference") and is_no_reference(array)):
+        if not (name.startswith("reference") and has_none):
             _check_values(index, name, array)
 
 

@@ -77,6 +77,10 @@ def test_frames_are_scored_where_that_is_possible(clip, tmp_path):
     assert rows.loc["at_cap", "value"].notna().all()
     rlbench("view", tmp_path / "r", "--clips", folder, "--out", tmp_path / "page.html")
     assert (tmp_path / "page.html").is_file()
+    words = ("--metrics", "image_flicker,psnr", "--clips", folder)
+    rlbench("evaluate", tmp_path / "r", *words)
+    flicker = table.read(tmp_path / "r" / "evaluated").query("metric == 'image_flicker'")
+    assert flicker["value"].notna().all()
     rlbench("images", "-m", "mean", "--clips", folder, "--frame", 2, "--out", tmp_path / "images")
     if missing == LAST:
         rlbench("report", "summary", "--results", tmp_path / "r", "--out", tmp_path / "report")

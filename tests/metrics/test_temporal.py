@@ -9,7 +9,7 @@ import torch
 from skimage.metrics import peak_signal_noise_ratio
 
 from metrics.catalog import PSNR, TPSNR
-from metrics.catalog_video import FLICKER, PSNR_LATE, WARPED_ERROR
+from metrics.catalog_video import FLICKER, IMAGE_FLICKER, PSNR_LATE, WARPED_ERROR
 from metrics.display import encode_display
 from metrics.metric import Comparison
 from metrics.psnr import CAP_DB
@@ -107,6 +107,18 @@ def test_flicker_equals_a_loop_over_pixels():
     steps = [change_along(errors[i + 1], errors[i], motions[i]) for i in (0, 1)]
     score = flicker(steps[1], steps[0]).item()
     assert score == pytest.approx(flicker_by_loops(errors, motions), rel=1e-3)  # twice warped
+
+
+def test_image_flicker_is_that_of_the_images_and_needs_no_reference():
+    images = [random_error(i).abs().clamp(0, 1) for i in range(3)]
+    motions = [random_motion(4), random_motion(5), random_motion(6)]
+    frame = None
+    for image, motion in zip(images, motions, strict=True):
+        lacking = torch.full_like(image, math.nan)
+        frame = Comparison.of(image, lacking, lacking, motion=motion, previous=frame)
+    displayed = [encode_display(image) for image in images]
+    expected = flicker_by_loops(displayed, motions[1:])
+    assert IMAGE_FLICKER.score(frame).item() == pytest.approx(expected, rel=1e-3)
 
 
 @pytest.mark.parametrize("shift", [(2, 0), (-3, 1)])
