@@ -17,7 +17,7 @@ from rlbench.clips.stored import DEFAULT_INPUTS, InMemoryClip, StoredClip, open_
 from rlbench.errors import RlbenchError
 from rlbench.family import Traits
 from rlbench.frames import Frame, GBuffer, Reference, StoredPool
-from rlbench.training.config import TrainingConfig
+from rlbench.training.task import TrainingConfig
 
 __all__ = [
     "TRAINING_INPUTS",

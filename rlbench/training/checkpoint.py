@@ -29,7 +29,8 @@ __all__ = [
 ]
 
 MAX_LISTED = 8  # clips in a message
-PLATEAU_DB = 0.1  # a smaller rise between the last two validations counts as converged
+LAST_FIFTH = 0.8  # of a run ends it
+PLATEAU_DB = 0.1  # a smaller rise in the last fifth of a run counts as converged
 
 
 class CheckpointError(RlbenchError, ValueError):
@@ -74,22 +75,36 @@ class Progress:
         self.config_changes += [f"after {self.frames_seen} frames: {change}" for change in changes]
         self.config = config
 
+    @property
+    def trend(self) -> str:
+        """Is the validation still "rising" in the last fifth of the run, or "flat"?
+
+        Empty with fewer than two validations.
+        """
+        if len(self.validation_history) < 2:
+            return ""
+        return "rising" if self._last_rise >= PLATEAU_DB else "flat"
+
+    @property
+    def _last_rise(self) -> float:
+        """From the last validation before the last fifth of the run to the last one, in dB."""
+        *earlier, (frames, last) = self.validation_history
+        before = [psnr for seen, psnr in earlier if seen <= LAST_FIFTH * frames] or [earlier[0][1]]
+        return last - before[-1]
+
     def note(self, frames: int) -> str:
         """What users of the weights should know: config changes, early stop, no convergence yet.
 
         `frames` is the intended length of the run. Empty if there is nothing to report.
         """
-        return "; ".join(filter(None, (*self.config_changes, self._warn_if_too_short(frames))))
-
-    def _warn_if_too_short(self, frames: int) -> str:
+        problem = ""
         if self.frames_seen < frames:
-            return f"stopped at {self.frames_seen} of {frames} frames"
-        if len(self.validation_history) < 2:
-            return ""
-        (before, previous), (_, last) = self.validation_history[-2:]
-        if last - previous < PLATEAU_DB:
-            return ""
-        return f"not converged: validation rose by {last - previous:.2f} dB after {before} frames"
+            problem = f"stopped at {self.frames_seen} of {frames} frames"
+        elif self.trend == "rising":
+            problem = (
+                f"not converged: validation rose by {self._last_rise:.2f} dB in the last fifth"
+            )
+        return "; ".join(filter(None, (*self.config_changes, problem)))
 
 
 def describe_changes(old: Mapping[str, Any], new: Mapping[str, Any]) -> list[str]:

@@ -7,7 +7,7 @@ import math
 import time
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import closing
-from dataclasses import asdict, replace
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -18,10 +18,9 @@ from rlbench.system.process_settings import keep_freed_memory
 from rlbench.training import checkpoint, own_clips, validation
 from rlbench.training.batches import Batches, prefetch, sequence_budget
 from rlbench.training.checkpoint import Progress, combine_digests, describe_changes
-from rlbench.training.config import TrainingConfig
 from rlbench.training.logger import TrainingLogger
 from rlbench.training.run_folder import CHECKPOINT, weights_path
-from rlbench.training.task import TrainingError, TrainingTask
+from rlbench.training.task import TrainingConfig, TrainingError, TrainingTask
 from rlbench.training.train_state import NonFiniteStepError, TrainState
 from rlbench.training.trained_weights import frames_in_weights, save_weights, start_from
 
@@ -80,7 +79,8 @@ def train(
     sets = _name_sets(validation_clips)
     _check_kept_set(config, sets)
     keep_freed_memory()
-    task = _make_task(method, device, config.seed, start)
+    task: TrainingTask = registry.training_task(method, device, config.seed)
+    task = start_from(task, start) if start else task
     state = TrainState(task, config, device)
     batches = Batches.from_config(train_clips, config, task.method.traits, device, mixed_in)
     limits = _check_clips(method, batches, sets, config.spp or task.spp)
@@ -125,16 +125,6 @@ def check_budgets(method: str, config: TrainingConfig) -> None:
     for spp in config.spp:
         if reason := traits.unsupported_reason(spp):
             raise TrainingError(f"'{method}' cannot be trained at {spp:g} spp: {reason}")
-
-
-def _make_task(method: str, device: str, seed: int, start: Path | None) -> TrainingTask:
-    """The task of a method, whose networks have the weights of the file `start` where they fit."""
-    task: TrainingTask = registry.training_task(method, device, seed)
-    if start is None:
-        return task
-    origin, line = start_from(task.networks, start)
-    _logger.warning("%s: %s", method, line)
-    return replace(task, origin="; others: ".join(filter(None, (origin, task.origin))))
 
 
 def _name_sets(

@@ -7,11 +7,13 @@ from __future__ import annotations
 
 import json
 from collections.abc import Iterator, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from rlbench.errors import OptionError
+from rlbench import registry
+from rlbench.errors import OptionError, PluginError
 
 __all__ = [
     "CHECKPOINT",
@@ -61,10 +63,10 @@ def weights_path(method: str, folder: Path) -> Path:
 
 
 def find_weights(start: str | None, out: Path) -> Path | None:
-    """The weights file `start`, or that of the finished run `start` in the folder `out`.
+    """The weights file `start`, that of the finished run `start` in `out`, or the shipped ones.
 
-    A run is named by its method or by its folder. None for None. Raises OptionError where there is
-    neither file nor run.
+    A run is named by its method or by its folder. A method's shipped weights are taken where `out`
+    has no folder of its run. None for None. Raises OptionError where there is none of them.
     """
     if start is None:
         return None
@@ -72,11 +74,15 @@ def find_weights(start: str | None, out: Path) -> Path | None:
         return file
     folder = run_folder(out, start)
     found = [card.with_suffix(".safetensors") for card in sorted(folder.glob("*.toml"))]
+    if not folder.exists():
+        with suppress(PluginError):  # no such method
+            found = [file for file in [registry.shipped_weights(start)] if file.is_file()]
     if len(found) == 1:
         return found[0]
     raise OptionError(
-        f"--start {start}: there is no such weights file, and {folder} holds no weights of a "
-        "finished run. Name a safetensors file, or a run in the folder --out"
+        f"--start {start}: there is no such weights file, {folder} holds no weights of a finished "
+        "run, and no such row has shipped weights. Name a safetensors file, a run in the folder "
+        "--out, or a row"
     )
 
 

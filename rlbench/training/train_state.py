@@ -11,8 +11,7 @@ from torch.optim.swa_utils import AveragedModel
 
 from rlbench.frames import Clip
 from rlbench.training.checkpoint import select_prefix
-from rlbench.training.config import TrainingConfig
-from rlbench.training.task import TrainingError, TrainingTask
+from rlbench.training.task import TrainingConfig, TrainingError, TrainingTask
 
 __all__ = ["NonFiniteStep", "NonFiniteStepError", "TrainState", "warmed_up_ema"]
 
@@ -51,11 +50,20 @@ class NonFiniteStepError(TrainingError):
 class TrainState:
     """The networks of a training task with their optimiser and exponential moving average (EMA).
 
-    The optimiser is Adam (Kingma and Ba 2015).
+    The optimiser is Adam (Kingma and Ba 2015). With `config.anchor` a > 0, pretrained weights are
+    pulled towards their start w0 by the penalty a / 2 |w - w0|^2 (L2-SP: Li, Grandvalet, Davoine
+    2018, Explicit Inductive Bias for Transfer Learning with Convolutional Networks). It acts beside
+    Adam, as in AdamW, because Adam would undo its scale, and by its proximal step,
+    w <- w0 + (w - w0) / (1 + rate * a), which is stable for any a: as a step of Adam is about as
+    long as its rate, a weight moves no further than about 1 / a. Weights that start at exactly 0,
+    such as those of new channels, are free.
     """
 
     def __init__(self, task: TrainingTask, config: TrainingConfig, device: str) -> None:
-        """Start from the weights in `task.networks`."""
+        """Start from the weights in `task.networks`.
+
+        Raises TrainingError for an anchor where no weight was trained before.
+        """
         self.task, self.config, self.device = task, config, torch.device(device)
         self.networks = task.networks
         self.networks.to(memory_format=torch.channels_last)  # type: ignore[call-overload]
@@ -67,6 +75,7 @@ class TrainState:
         self._modules = {"the networks": self.networks}  # gradients are clipped for each
         if task.auxiliary_network is not None:
             self._modules["the auxiliary network"] = task.auxiliary_network
+        self._anchors = _first_values(task) if config.anchor else {}
 
     @property
     def ema_networks(self) -> nn.Module:
@@ -152,6 +161,11 @@ class TrainState:
 
     def _step(self) -> None:
         self.optimizer.step()
+        for group in self.optimizer.param_groups if self._anchors else ():
+            pull = 1 - 1 / (1 + group["lr"] * self.config.anchor)
+            for weight in group["params"]:
+                if (start := self._anchors.get(weight)) is not None:
+                    weight.data.lerp_(start, pull * (start != 0))
 
     def _update_ema(self) -> None:
         self.ema.update_parameters(self.networks)
@@ -166,6 +180,21 @@ class TrainState:
             if not all(bool(t.isfinite().all()) for t in (weight, weight.grad) if t is not None)
         ]
         raise NonFiniteStepError(NonFiniteStep(quantity, value.item(), step, tuple(layers)))
+
+
+def _first_values(task: TrainingTask) -> dict[nn.Parameter, Tensor]:
+    """A copy of each weight that was trained before."""
+    first = {
+        weight: weight.detach().clone()
+        for name, weight in task.networks.named_parameters()
+        if name.startswith(task.pretrained)
+    }
+    if not first:
+        raise TrainingError(
+            "--anchor keeps weights near those that training starts from, and all of these are "
+            "random. Name weights with --start, or omit --anchor"
+        )
+    return first
 
 
 def _parameter_groups(task: TrainingTask) -> list[dict[str, Any]]:

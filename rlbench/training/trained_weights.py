@@ -4,21 +4,24 @@ from __future__ import annotations
 
 import copy
 import json
+import logging
 from collections.abc import Mapping
+from dataclasses import replace
 from pathlib import Path
 
 import torch
 from safetensors.torch import load_file
-from torch import nn
 
 from rlbench import weights
 from rlbench.method import config_json
 from rlbench.system import provenance
 from rlbench.training.checkpoint import Progress, combine_digests
-from rlbench.training.task import TrainingError
+from rlbench.training.task import TrainingError, TrainingTask
 from rlbench.training.train_state import TrainState
 
 __all__ = ["frames_in_weights", "save_weights", "start_from"]
+
+_logger = logging.getLogger(__name__)
 
 MAX_DIGESTS = 32  # clips whose digests a card lists; more have one together
 
@@ -35,14 +38,15 @@ def frames_in_weights(file: Path) -> int | None:
     return card.frames_seen if weights.digest(file) == card.sha256 else None
 
 
-def start_from(networks: nn.Module, file: Path) -> tuple[str, str]:
-    """Copy the tensors of a weights file that have the name and shape of one of the networks.
+def start_from(task: TrainingTask, file: Path) -> TrainingTask:
+    """The task, whose networks got the tensors of a weights file that have the name and shape.
 
-    The others keep their values. Returns the origin for the model card (method, frames, hash and
-    number of tensors), and a line that lists the tensors. Raises WeightsError without a file and
-    its card, and TrainingError if no tensor fits.
+    The others keep their values. The task records the origin for the model card (method, frames,
+    hash and number of tensors), the names, and the frames that the weights were trained on; a
+    warning lists the tensors. Raises WeightsError without a file and its card, and TrainingError if
+    no tensor fits.
     """
-    card, stored, initial = weights.read_card(file), load_file(file), networks.state_dict()
+    card, stored, initial = weights.read_card(file), load_file(file), task.networks.state_dict()
     taken = [
         name for name, t in stored.items() if name in initial and t.shape == initial[name].shape
     ]
@@ -51,13 +55,21 @@ def start_from(networks: nn.Module, file: Path) -> tuple[str, str]:
             f"no tensor of {file} ({card.name}) has the name and shape of one to train. Choose "
             "weights of a method with the same networks"
         )
-    networks.load_state_dict({name: stored[name] for name in taken}, strict=False)
-    origin = f"{card.name} after {card.frames_seen} frames, {weights.digest(file)[:12]}"
+    task.networks.load_state_dict({name: stored[name] for name in taken}, strict=False)
     count = f"{len(taken)} of {len(initial)} tensors"
     line = f"{count} from {file}: {', '.join(taken)}"
     if fresh := sorted(initial.keys() - set(taken)):
         line += f"; initial values: {', '.join(fresh)}"
-    return f"{origin} ({count})", line
+    _logger.warning("start: %s", line)
+    origin = (
+        f"{card.name} after {card.frames_trained} frames, {weights.digest(file)[:12]} ({count})"
+    )
+    return replace(
+        task,
+        origin="; others: ".join(filter(None, (origin, task.origin))),
+        pretrained=tuple(taken),
+        frames_before=card.frames_trained,
+    )
 
 
 def save_weights(
@@ -89,6 +101,7 @@ def save_weights(
         data=tuple(data if len(data) <= MAX_DIGESTS else (c.rpartition(" ")[0] for c in data)),
         data_digest=combine_digests(data) if len(data) > MAX_DIGESTS else "",
         frames_seen=progress.frames_seen,
+        frames_before=task.frames_before,
         steps=progress.steps,
         seconds=round(progress.seconds),
         device=_describe_device(state.device),
@@ -101,6 +114,7 @@ def save_weights(
         validation_history=tuple(progress.validation_history),
         curves={name: tuple(curve) for name, curve in progress.curves.items()},
         kept_at=kept_at,
+        trend=progress.trend,
         note="; ".join(filter(None, (remark, kept, progress.note(config.frames)))),
     )
     weights.save(networks, file, card)

@@ -16,7 +16,7 @@ from rlbench.benchmark.crossval import Fold, crossval, row_names, variant_to_tra
 from rlbench.benchmark.run_plan import RunPlan
 from rlbench.benchmark.runner import ProgressCallbacks, RunSummary
 from rlbench.cli.app import app
-from rlbench.training.config import TrainingConfig
+from rlbench.training.task import TrainingConfig
 from rlbench.training.dataset import TrainingSplit
 from rlbench.training.runs import TrainingRuns
 from rlbench.weights import read_card

@@ -34,7 +34,7 @@ def test_many_clips_of_a_changed_config_are_counted():
     ("frames", "history", "expected"),
     [
         (500, [], "stopped at 500 of 3000 frames"),
-        (3000, [(1000, 20.0), (2000, 24.0), (3000, 24.5)], "rose by 0.50 dB after 2000 frames"),
+        (3000, [(1000, 20.0), (2000, 24.0), (3000, 24.5)], "rose by 0.50 dB in the last fifth"),
         (3000, [(1000, 20.0), (2000, 24.0), (3000, 24.05)], ""),
         (3000, [(1000, 20.0), (2000, 24.0), (3000, 23.0)], ""),
         (1000, [(1000, 20.0)], "stopped"),
@@ -44,6 +44,16 @@ def test_the_note_says_if_training_was_too_short(frames, history, expected):
     note = Progress(frames_seen=frames, validation_history=history).note(3000)
     assert expected in note
     assert bool(note) == bool(expected)
+
+
+@pytest.mark.parametrize(
+    ("rises", "trend"),
+    [([], ""), ([3.0], ""), ([3.0] + [0.0] * 9, "flat"), ([0.03] * 10, "flat")]
+    + [([0.06] * 10, "rising"), ([1.0, 1.0], "rising"), ([1.0, -1.0], "flat")],
+)
+def test_the_trend_is_that_of_the_last_fifth(rises, trend):
+    history = [(1000 * n, sum(rises[:n])) for n in range(1, len(rises) + 1)]
+    assert Progress(validation_history=history).trend == trend
 
 
 def test_a_change_of_the_config_is_noted_with_its_frame():

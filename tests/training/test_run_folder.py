@@ -6,6 +6,7 @@ import json
 
 import pytest
 
+from rlbench import registry
 from rlbench.errors import OptionError
 from rlbench.training.run_folder import RunState, find_weights, read_state
 
@@ -38,8 +39,11 @@ def test_weights_are_found_by_file_and_by_run(tmp_path):
         file.touch()
     assert find_weights("ours/A2", tmp_path) == find_weights(str(weights), tmp_path) == weights
     assert find_weights(None, tmp_path) is None
+    assert find_weights("ours/A1", tmp_path) == registry.shipped_weights("ours/A1")
 
 
-def test_weights_that_are_not_there_are_an_error(tmp_path):
-    with pytest.raises(OptionError, match="--start ours/A2: there is no such weights file, and"):
-        find_weights("ours/A2", tmp_path)
+@pytest.mark.parametrize("start", ["ours/A2", "dasr/gamma", "unknown"])
+def test_weights_that_are_not_there_are_an_error(tmp_path, start):
+    (tmp_path / "ours-A2").mkdir()  # a run that is not finished hides the shipped weights
+    with pytest.raises(OptionError, match=f"--start {start}: there is no such weights file"):
+        find_weights(start, tmp_path)

@@ -12,14 +12,18 @@ from torch import Tensor, nn
 from rlbench import registry
 from rlbench.clips.procedural.clip import procedural_clip
 from rlbench.frames import Size
-from rlbench.training import TrainingConfig, TrainingTask
+from rlbench.training import TrainingConfig, TrainingError, TrainingTask
 from rlbench.training.train_state import NonFiniteStep, NonFiniteStepError, TrainState
 
 CLIP = procedural_clip(0, Size(1, 16, 16), frames=1)
 
 
 def train_state(
-    networks: nn.Module, *losses: Callable[[], Tensor], bf16: bool = False, **fields: object
+    networks: nn.Module,
+    *losses: Callable[[], Tensor],
+    bf16: bool = False,
+    anchor: float = 0.0,
+    **fields: object,
 ) -> TrainState:
     """A state that takes a step for each of these losses."""
     task = TrainingTask(
@@ -29,7 +33,7 @@ def train_state(
         (1.0,),
         **{"max_lr": 1e-2, **fields},
     )
-    return TrainState(task, TrainingConfig(bf16=bf16), device="cpu")
+    return TrainState(task, TrainingConfig(bf16=bf16, anchor=anchor), device="cpu")
 
 
 def train(state: TrainState, lr_factor: float = 1.0) -> float:
@@ -124,6 +128,30 @@ def test_an_auxiliary_network_learns_at_its_multiple_of_the_rate():
     train(train_state(network, loss, auxiliary_network=critic, lr_multipliers=multipliers))
     step = before.item() - critic.weight.item()
     assert step == pytest.approx(2.5e-3, rel=1e-3)  # Adam's first
+
+
+@pytest.mark.parametrize("anchor", [0.0, 30.0, float("inf")])
+def test_a_weight_that_was_trained_before_is_pulled_to_its_start(anchor):
+    networks, rate = two_layers(), 1e-2
+    nn.init.zeros_(networks[0].weight[:, 1:])  # new channels
+    loss = lambda: networks(torch.ones(1, 3)).sum()  # noqa: E731
+    train(train_state(networks, *[loss] * 4, pretrained=("0.",), anchor=anchor))
+    moved = 0.0
+    for _ in range(4):  # steps of Adam are as long as the rate, since the gradient is constant
+        # the new point x is the least of (x - y)^2 / (2 rate) + anchor / 2 (x - 1)^2
+        moved = (moved + rate) / (1 + rate * anchor)
+    free = 4 * rate
+    assert networks[0].weight.detach().numpy() == pytest.approx(
+        torch.tensor([[1 - moved, -free, -free]] * 2).numpy(), rel=1e-3, abs=1e-7
+    )
+    assert float(networks[1].weight[0, 0].detach()) == pytest.approx(
+        1 - free, rel=1e-3
+    )  # not named
+
+
+def test_an_anchor_needs_weights_that_were_trained_before():
+    with pytest.raises(TrainingError, match="--anchor"):
+        train_state(two_layers(), anchor=1.0)
 
 
 @pytest.mark.parametrize(("bf16", "dtype"), [(False, torch.float32), (True, torch.bfloat16)])
