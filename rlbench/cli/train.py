@@ -21,8 +21,8 @@ from rlbench.cli.verbosity import note
 from rlbench.errors import OptionError
 
 if TYPE_CHECKING:
-    from rlbench.training.task import TrainingConfig
     from rlbench.training.runs import TrainingRuns
+    from rlbench.training.task import TrainingConfig
 
 __all__ = ["QUICK_FRAMES", "train", "training_runs"]
 
@@ -197,10 +197,10 @@ def train(
     from rlbench.parallel.executor import TimeLimit, TimeLimitedExecutor
     from rlbench.system.paths import check_writable
     from rlbench.training import dataset
-    from rlbench.training.task import TrainingConfig
     from rlbench.training.logger import tensorboard_hint
     from rlbench.training.run_folder import QUICK, find_weights
     from rlbench.training.runs import archive_run
+    from rlbench.training.task import TrainingConfig
 
     check_writable(out)
     limit = TimeLimit(math.inf if minutes is None else minutes)

@@ -80,8 +80,7 @@ def train(
     _check_kept_set(config, sets)
     keep_freed_memory()
     task: TrainingTask = registry.training_task(method, device, config.seed)
-    task = start_from(task, start) if start else task
-    state = TrainState(task, config, device)
+    state = TrainState(task := start_from(task, start) if start else task, config, device)
     batches = Batches.from_config(train_clips, config, task.method.traits, device, mixed_in)
     limits = _check_clips(method, batches, sets, config.spp or task.spp)
     described = {name: _describe(clips, batches.pool) for name, clips in sets.items()}

@@ -16,8 +16,7 @@ from rlbench import registry
 from rlbench.registry import discovery
 from rlbench.training import dataset
 from rlbench.training.batches import Batches, sequence_budget
-from rlbench.training.task import TrainingConfig
-from rlbench.training.task import TrainingTask
+from rlbench.training.task import TrainingConfig, TrainingTask
 from rlbench.training.train_state import TrainState
 
 __all__ = ["ProfiledPart", "TrainingProfile", "profile"]

@@ -12,10 +12,10 @@ from rlbench import registry
 from rlbench.system.folder_lock import locked_folder
 from rlbench.training import own_clips
 from rlbench.training.checkpoint import Progress
-from rlbench.training.task import TrainingConfig
 from rlbench.training.dataset import TrainingSplit
 from rlbench.training.loop import check_budgets, train
 from rlbench.training.run_folder import run_folder
+from rlbench.training.task import TrainingConfig
 
 __all__ = ["TrainingRuns", "archive_run"]
 
