@@ -19,7 +19,7 @@ from rlbench.render.jobs import render_clips
 from rlbench.render.presets import PRESETS
 from rlbench.training import dataset
 from rlbench.training.dataset import TrainingSplit
-from rlbench.training.runs import TrainingRuns
+from rlbench.training.loop import TrainingRuns
 
 __all__ = ["Fold", "crossval", "folds", "row_names", "variant_to_train"]
 

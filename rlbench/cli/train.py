@@ -21,7 +21,7 @@ from rlbench.cli.verbosity import note
 from rlbench.errors import OptionError
 
 if TYPE_CHECKING:
-    from rlbench.training.runs import TrainingRuns
+    from rlbench.training.loop import TrainingRuns
     from rlbench.training.task import TrainingConfig
 
 __all__ = ["QUICK_FRAMES", "train", "training_runs"]
@@ -197,9 +197,8 @@ def train(
     from rlbench.parallel.executor import TimeLimit, TimeLimitedExecutor
     from rlbench.system.paths import check_writable
     from rlbench.training import dataset
-    from rlbench.training.logger import tensorboard_hint
-    from rlbench.training.run_folder import QUICK, find_weights
-    from rlbench.training.runs import archive_run
+    from rlbench.training.loop import archive_run
+    from rlbench.training.run_folder import QUICK, find_weights, tensorboard_hint
     from rlbench.training.task import TrainingConfig
 
     check_writable(out)
@@ -300,7 +299,7 @@ def training_runs(
     from rlbench.benchmark.api import select_device
     from rlbench.cli import console
     from rlbench.system.bfloat16 import emulation_reason
-    from rlbench.training.runs import TrainingRuns
+    from rlbench.training.loop import TrainingRuns
 
     selected = str(select_device(device))
     if config.bf16 and (reason := emulation_reason(selected)):

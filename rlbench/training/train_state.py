@@ -1,20 +1,37 @@
-"""The state of a training run: networks, their moving average and the optimiser; one step."""
+"""The state of a training run: networks, average and optimiser; its steps and its validation."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping
+import copy
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from pathlib import Path
+from statistics import fmean
 from typing import Any, NamedTuple
 
 import torch
+from jaxtyping import Float
 from torch import Tensor, nn
 from torch.optim.swa_utils import AveragedModel
 
+from rlbench import registry
+from rlbench.clips.stored import open_clip
 from rlbench.frames import Clip
+from rlbench.method import Method
+from rlbench.run import run_clip
 from rlbench.training.checkpoint import select_prefix
 from rlbench.training.task import TrainingConfig, TrainingError, TrainingTask
 
-__all__ = ["NonFiniteStep", "NonFiniteStepError", "TrainState", "warmed_up_ema"]
+__all__ = [
+    "NonFiniteStep",
+    "NonFiniteStepError",
+    "SetScore",
+    "TrainState",
+    "ValidationResult",
+    "validation_budgets",
+    "warmed_up_ema",
+]
 
+DEFAULT_BUDGETS = (1.0, 4.0)  # of a validation, samples per pixel
 MAX_LAYERS_SHOWN = 3  # in an error message
 
 Tensors = tuple[Tensor, ...] | list[Tensor]
@@ -45,6 +62,25 @@ class NonFiniteStepError(TrainingError):
         """Store the failure and use it as the message."""
         super().__init__(str(failure))
         self.failure = failure
+
+
+class SetScore(NamedTuple):
+    """The score of one validation set, in dB."""
+
+    psnr: float  # mean over clips, budgets and frames
+    first_frames: float  # mean over clips and budgets of the first frame, which has no history
+
+
+class ValidationResult(NamedTuple):
+    """The scores of one validation, and an image to look at."""
+
+    sets: dict[str, SetScore]  # by name of the validation set
+    preview: Float[Tensor, "3 h w"] | None  # last frame of the first clip, reference on its right
+
+    @property
+    def psnr(self) -> float:
+        """Mean PSNR over the validation sets, dB; 0 without any."""
+        return fmean(score.psnr for score in self.sets.values()) if self.sets else 0.0
 
 
 class TrainState:
@@ -110,6 +146,39 @@ class TrainState:
             self._update_ema()
             total, count = total + loss.item(), count + 1
         return total / max(count, 1)
+
+    def validate(self, sets: Mapping[str, Sequence[Path]]) -> ValidationResult:
+        """Mean PSNR of the averaged weights on each set of clips, at the `validation_budgets`.
+
+        A clip with fewer samples than a budget is validated with all that it has. The networks get
+        their own weights back, and are left in evaluation mode.
+        """
+        method, networks = self.task.method, self.networks
+        spp = validation_budgets(method, self.task.spp, self.config.spp)
+        psnr = registry.load_plugin("metrics", "psnr")
+        trained = copy.deepcopy(networks.state_dict())
+        networks.load_state_dict(self.ema_networks.state_dict())
+        networks.eval()
+        scores: dict[str, SetScore] = {}
+        preview = None
+        for name, folders in sets.items():
+            frames, first_frames = [], []
+            for folder in folders:
+                traits = method.traits
+                clip = open_clip(folder, traits.inputs, pool=traits.pool, device=str(self.device))
+                for budget in sorted({min(each, float(clip.max_samples)) for each in spp}):
+                    psnrs = []
+                    for result in run_clip(method, clip, budget):
+                        reference = result.frame.reference
+                        compared = psnr.compare(result.image, reference.half_a, reference.half_b)
+                        psnrs += psnr.score(compared).tolist()
+                        if preview is None and result.frame.index == len(clip) - 1:
+                            preview = torch.cat((result.image[0], reference.mean[0]), dim=-1)
+                    frames += psnrs
+                    first_frames += psnrs[:1]
+            scores[name] = SetScore(fmean(frames or [0.0]), fmean(first_frames or [0.0]))
+        networks.load_state_dict(trained)
+        return ValidationResult(scores, preview)
 
     def state_dict(self) -> dict[str, Tensor]:
         """All tensors of the run by name, for a checkpoint; they are not copied."""
@@ -226,3 +295,17 @@ def warmed_up_ema(decay: float) -> Callable[[Tensors, Tensors, Tensor | int], No
             torch._foreach_copy_(average, current)
 
     return update
+
+
+def validation_budgets(
+    method: Method, training_budgets: Sequence[float], requested: Sequence[float]
+) -> list[float]:
+    """The budgets to validate at, in samples per pixel.
+
+    1 and 4 spp if the method supports both and no training budgets were `requested`. Otherwise the
+    smallest and the largest budget that the method is trained at.
+    """
+    unsupported = any(method.traits.unsupported_reason(spp) for spp in DEFAULT_BUDGETS)
+    if not requested and not unsupported:
+        return list(DEFAULT_BUDGETS)
+    return sorted({min(requested or training_budgets), max(requested or training_budgets)})

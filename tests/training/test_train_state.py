@@ -1,9 +1,10 @@
-"""One sequence of a run: steps, averages, clipping, precision, and steps that are not finite."""
+"""One sequence of a run: steps, averages, anchors, precision, faults; and its validation."""
 
 from __future__ import annotations
 
 import copy
 from collections.abc import Callable
+from pathlib import Path
 
 import pytest
 import torch
@@ -13,7 +14,14 @@ from rlbench import registry
 from rlbench.clips.procedural.clip import procedural_clip
 from rlbench.frames import Size
 from rlbench.training import TrainingConfig, TrainingError, TrainingTask
-from rlbench.training.train_state import NonFiniteStep, NonFiniteStepError, TrainState
+from rlbench.training.train_state import (
+    NonFiniteStep,
+    NonFiniteStepError,
+    TrainState,
+    validation_budgets,
+)
+from tests.conftest import write_noise
+from tests.learning_plugin import write_learner
 
 CLIP = procedural_clip(0, Size(1, 16, 16), frames=1)
 
@@ -210,3 +218,48 @@ def test_a_step_that_is_not_finite_is_not_taken(fault, message):
     assert raised.value.failure.step == 1
     torch.testing.assert_close(weights(network), after, rtol=0, atol=0)
     torch.testing.assert_close(state.optimizer.state_dict(), moments[0], rtol=0, atol=0)
+
+
+@pytest.mark.parametrize(
+    ("training_budgets", "requested", "expected"),
+    [
+        ((1.0, 2.0), (), [1.0, 4.0]),
+        ((1.0, 2.0), (0.5, 3.0, 2.0), [0.5, 3.0]),
+        ((2.0,), (2.0,), [2.0]),
+    ],
+)
+def test_validation_is_at_1_and_4_spp_or_at_the_ends_of_the_requested_budgets(
+    training_budgets, requested, expected
+):
+    mean = registry.load_method("mean")
+    assert validation_budgets(mean, training_budgets, requested) == expected
+
+
+def blur_state(folder: Path, *spp: float) -> TrainState:
+    registry.use_plugin(write_learner(folder))
+    return TrainState(registry.training_task("blur"), TrainingConfig(spp=spp), "cpu")
+
+
+def test_each_set_has_a_mean_of_its_own_and_one_of_first_frames(tmp_path):
+    sets = {
+        name: [write_noise(tmp_path / name, h=24, w=24, frames=frames, pool_spp=2)]
+        for name, frames in (("short", 1), ("longer", 3))
+    }
+    result = blur_state(tmp_path, 1.0, 4.0).validate(sets)  # 4 spp: 2 are stored
+    assert result.sets["short"].psnr == result.sets["short"].first_frames
+    assert result.sets["longer"].psnr != result.sets["longer"].first_frames
+    assert result.psnr == sum(score.psnr for score in result.sets.values()) / 2
+    assert blur_state(tmp_path, 1.0, 2.0).validate(sets).sets == result.sets
+
+
+def test_averaged_weights_are_scored_and_the_networks_keep_theirs(tmp_path):
+    sets = {"noise": [write_noise(tmp_path / "noise", h=24, w=24)]}
+    state = blur_state(tmp_path, 1.0)
+    own = state.validate(sets)
+    nn.init.zeros_(state.ema_networks.weight)  # a black image
+    before = weights(state.networks)
+    black = state.validate(sets)
+    torch.testing.assert_close(weights(state.networks), before, rtol=0, atol=0)
+    assert black.psnr != own.psnr
+    assert black.preview.shape == (3, 24, 48)
+    assert torch.equal(black.preview[..., :24], torch.zeros(3, 24, 24))
