@@ -96,8 +96,9 @@ class EqualStart:
         self, gbuffer: GBuffer, samples: Samples, state: LastImage | None
     ) -> Float[Tensor, "n 1 h w"]:
         """Density in (0, 1] with maximum 1: the bounded exponential of the sampler's output."""
+        more: tuple[Tensor, ...] = ()
         if state is None:
-            known, more = mean_without_fireflies(samples.radiance, samples.counts), ()
+            known = mean_without_fireflies(samples.radiance, samples.counts)
         else:
             known, weight = _reproject(gbuffer, state)
             more = (weight,)

@@ -27,6 +27,7 @@ __all__ = [
     "SetScore",
     "TrainState",
     "ValidationResult",
+    "validate",
     "validation_budgets",
     "warmed_up_ema",
 ]
@@ -148,37 +149,17 @@ class TrainState:
         return total / max(count, 1)
 
     def validate(self, sets: Mapping[str, Sequence[Path]]) -> ValidationResult:
-        """Mean PSNR of the averaged weights on each set of clips, at the `validation_budgets`.
+        """Score the averaged weights, see `validate`, at the `validation_budgets`.
 
-        A clip with fewer samples than a budget is validated with all that it has. The networks get
-        their own weights back, and are left in evaluation mode.
+        The networks get their own weights back, and are left in evaluation mode.
         """
-        method, networks = self.task.method, self.networks
-        spp = validation_budgets(method, self.task.spp, self.config.spp)
-        psnr = registry.load_plugin("metrics", "psnr")
-        trained = copy.deepcopy(networks.state_dict())
-        networks.load_state_dict(self.ema_networks.state_dict())
-        networks.eval()
-        scores: dict[str, SetScore] = {}
-        preview = None
-        for name, folders in sets.items():
-            frames, first_frames = [], []
-            for folder in folders:
-                traits = method.traits
-                clip = open_clip(folder, traits.inputs, pool=traits.pool, device=str(self.device))
-                for budget in sorted({min(each, float(clip.max_samples)) for each in spp}):
-                    psnrs = []
-                    for result in run_clip(method, clip, budget):
-                        reference = result.frame.reference
-                        compared = psnr.compare(result.image, reference.half_a, reference.half_b)
-                        psnrs += psnr.score(compared).tolist()
-                        if preview is None and result.frame.index == len(clip) - 1:
-                            preview = torch.cat((result.image[0], reference.mean[0]), dim=-1)
-                    frames += psnrs
-                    first_frames += psnrs[:1]
-            scores[name] = SetScore(fmean(frames or [0.0]), fmean(first_frames or [0.0]))
-        networks.load_state_dict(trained)
-        return ValidationResult(scores, preview)
+        trained = copy.deepcopy(self.networks.state_dict())
+        self.networks.load_state_dict(self.ema_networks.state_dict())
+        self.networks.eval()
+        spp = validation_budgets(self.task.method, self.task.spp, self.config.spp)
+        result = validate(self.task.method, sets, spp, str(self.device))
+        self.networks.load_state_dict(trained)
+        return result
 
     def state_dict(self) -> dict[str, Tensor]:
         """All tensors of the run by name, for a checkpoint; they are not copied."""
@@ -309,3 +290,31 @@ def validation_budgets(
     if not requested and not unsupported:
         return list(DEFAULT_BUDGETS)
     return sorted({min(requested or training_budgets), max(requested or training_budgets)})
+
+
+def validate(
+    method: Method, sets: Mapping[str, Sequence[Path]], spp: Sequence[float], device: str
+) -> ValidationResult:
+    """Mean PSNR of a method on each set of clips, at each budget in `spp`.
+
+    A clip with fewer samples than a budget is validated with all that it has.
+    """
+    psnr = registry.load_plugin("metrics", "psnr")
+    scores: dict[str, SetScore] = {}
+    preview = None
+    for name, folders in sets.items():
+        frames, first_frames = [], []
+        for folder in folders:
+            clip = open_clip(folder, method.traits.inputs, pool=method.traits.pool, device=device)
+            for budget in sorted({min(each, float(clip.max_samples)) for each in spp}):
+                psnrs = []
+                for result in run_clip(method, clip, budget):
+                    reference = result.frame.reference
+                    compared = psnr.compare(result.image, reference.half_a, reference.half_b)
+                    psnrs += psnr.score(compared).tolist()
+                frames += psnrs
+                first_frames += psnrs[:1]
+                if preview is None:
+                    preview = torch.cat((result.image[0], reference.mean[0]), dim=-1)
+        scores[name] = SetScore(fmean(frames or [0.0]), fmean(first_frames or [0.0]))
+    return ValidationResult(scores, preview)
