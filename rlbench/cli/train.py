@@ -217,7 +217,7 @@ def train(
         anchor=anchor,
     )
     runs = training_runs(out, config, device, minutes, allow_config_change)
-    runs = replace(runs, suffix=QUICK if quick else "", start=find_weights(start, out))
+    runs = replace(runs, suffix=QUICK if quick else "", start=find_weights(start, out, names))
     runs.check(names)
     if quick:
         chosen = {"preset": preset, "seeds": seeds, "holdout": holdout, "clips": clips}

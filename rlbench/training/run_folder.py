@@ -78,11 +78,12 @@ def weights_path(method: str, folder: Path) -> Path:
     return folder / f"{variant or family}.safetensors"
 
 
-def find_weights(start: str | None, out: Path) -> Path | None:
+def find_weights(start: str | None, out: Path, methods: Sequence[str] = ()) -> Path | None:
     """The weights file `start`, that of the finished run `start` in `out`, or the shipped ones.
 
-    A run is named by its method or by its folder. A method's shipped weights are taken where `out`
-    has no folder of its run. None for None. Raises OptionError where there is none of them.
+    A run is named by its method or by its folder. Shipped weights are taken where `out` has no such
+    folder, and of `methods`, which are trained, so that no run starts from itself when it resumes.
+    None for None. Raises OptionError where there is none of them.
     """
     if start is None:
         return None
@@ -90,7 +91,7 @@ def find_weights(start: str | None, out: Path) -> Path | None:
         return file
     folder = run_folder(out, start)
     found = [card.with_suffix(".safetensors") for card in sorted(folder.glob("*.toml"))]
-    if not folder.exists():
+    if start in methods or not folder.exists():
         with suppress(PluginError):  # no such method
             found = [file for file in [registry.shipped_weights(start)] if file.is_file()]
     if len(found) == 1:

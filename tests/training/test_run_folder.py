@@ -45,6 +45,8 @@ def test_weights_are_found_by_file_and_by_run(tmp_path):
     assert find_weights("ours/A2", tmp_path) == find_weights(str(weights), tmp_path) == weights
     assert find_weights(None, tmp_path) is None
     assert find_weights("ours/A1", tmp_path) == registry.shipped_weights("ours/A1")
+    own = find_weights("ours/A2", tmp_path, ["ours/A2"])  # a run that resumes has its first start
+    assert own == registry.shipped_weights("ours/A2")
 
 
 @pytest.mark.parametrize("start", ["ours/A2", "dasr/gamma", "unknown"])
