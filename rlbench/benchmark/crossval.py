@@ -76,7 +76,7 @@ def folds(preset: str, scenes: Sequence[str], names: Sequence[str]) -> list[Fold
     return [
         Fold(
             scene,
-            dataset.split_holdout(scene, preset, pools),
+            dataset.select_split(preset, None, scene, pools),
             tuple(
                 StoredSource(folder)
                 for folder in render_clips.render_preset_clips([scene], preset, pool_kinds=pools)

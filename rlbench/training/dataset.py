@@ -5,7 +5,8 @@ Which clips are selected, which are refused, and why.
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterable, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
+from functools import partial
 from glob import glob, has_magic
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
@@ -39,6 +40,8 @@ __all__ = [
     "split_off_validation",
     "split_quick",
 ]
+
+Render = Callable[..., list[Path]]  # `render_preset_clips`, perhaps with some arguments given
 
 QUICK_PREFIX = "procedural-"  # of the names of clips for a quick training
 QUICK_CLIPS, QUICK_SIDE = 10, 160  # clips, and pixels; as large as those of the preset `train`
@@ -94,8 +97,9 @@ def select_split(
     Raises OptionError if the options contradict each other, and as `split_generated`,
     `split_holdout`, `find_own_clips` and `select_validation` do.
     """
+    render = partial(render_preset_clips, pool_kinds=pool_kinds, executor=executor)
     if held_out_scene is None:
-        return _select(preset, seeds, pool_kinds, executor, clips, validate)
+        return _select(preset, seeds, render, clips, validate)
     if seeds is not None:
         raise OptionError(
             "--seeds applies to generated scenes only. With --holdout, training uses the other "
@@ -107,14 +111,13 @@ def select_split(
             f"--holdout trains on test scenes of a preset, and {option} names other clips. Omit "
             "one of them"
         )
-    return split_holdout(held_out_scene, preset or "mini", pool_kinds, executor)
+    return split_holdout(held_out_scene, preset or "mini", render)
 
 
 def _select(
     preset: str | None,
     seeds: tuple[int, ...] | None,
-    pool_kinds: Collection[str] | None,
-    executor: Executor | None,
+    render: Render,
     clips: Sequence[str],
     validate: Sequence[str],
 ) -> TrainingSplit:
@@ -127,14 +130,14 @@ def _select(
     own = find_own_clips(clips) if clips else []
     for name in names:
         _check_not_test_set(name, seeds)
-    sets: dict[str, Sequence[Path]] = dict(select_validation(validate, pool_kinds, executor))
+    sets: dict[str, Sequence[Path]] = dict(select_validation(validate, render))
     if validate:  # all other clips train
-        rendered = [path for name in names for path in _render(name, seeds, pool_kinds, executor)]
+        rendered = [path for name in names for path in render(None, name, seeds=seeds)]
         return _join(without_validation(rendered, sets), without_validation(own, sets), sets)
     train: list[Path] = []
     remark = ""
     for name in names:
-        split = split_generated(name, seeds, pool_kinds, executor)
+        split = split_generated(name, seeds, render)
         train, remark = [*train, *split.train], remark or split.remark
         sets |= split.validation
     if own:
@@ -151,9 +154,7 @@ def _join(
 
 
 def select_validation(
-    words: Iterable[str],
-    pool_kinds: Collection[str] | None = None,
-    executor: Executor | None = None,
+    words: Iterable[str], render: Render = render_preset_clips
 ) -> dict[str, list[Path]]:
     """Validation sets of `[NAME=]FOLDER` or `[NAME=]PRESET`; a name that is given twice is one set.
 
@@ -166,7 +167,7 @@ def select_validation(
         name, _, what = word.rpartition("=")
         if what in PRESETS and not Path(what).exists():
             _check_for_decisions(what)
-            folders = render_preset_clips(None, what, pool_kinds=pool_kinds, executor=executor)
+            folders = render(None, what)
         else:
             folders = find_own_clips([what], "decide")
         known = sets.setdefault(name or Path(what).resolve().name, [])
@@ -251,10 +252,7 @@ def count_unrendered(preset: str, seeds: tuple[int, ...] | None) -> tuple[int, i
 
 
 def split_generated(
-    preset: str,
-    seeds: tuple[int, ...] | None = None,
-    pool_kinds: Collection[str] | None = None,
-    executor: Executor | None = None,
+    preset: str, seeds: tuple[int, ...] | None = None, render: Render = render_preset_clips
 ) -> TrainingSplit:
     """Generated scenes of a preset, or those of `seeds`; the first and the middle one validate.
 
@@ -262,21 +260,12 @@ def split_generated(
     OptionError if the preset or a seed belongs to a test set.
     """
     _check_not_test_set(preset, seeds)
-    folders = _render(preset, seeds, pool_kinds, executor)
+    folders = render(None, preset, seeds=seeds)
     if len(folders) == 1:
         return TrainingSplit(folders, {preset: folders}, ONE_CLIP_REMARK)
     validate = folders[:: max(len(folders) // 2, 2)][:2]
     train = [folder for folder in folders if folder not in validate]
     return TrainingSplit(train, {preset: validate})
-
-
-def _render(
-    preset: str,
-    seeds: tuple[int, ...] | None,
-    pool_kinds: Collection[str] | None,
-    executor: Executor | None,
-) -> list[Path]:
-    return render_preset_clips(None, preset, seeds=seeds, pool_kinds=pool_kinds, executor=executor)
 
 
 def _check_not_test_set(preset: str, seeds: tuple[int, ...] | None) -> None:
@@ -297,12 +286,7 @@ def _check_not_test_set(preset: str, seeds: tuple[int, ...] | None) -> None:
             )
 
 
-def split_holdout(
-    scene: str,
-    preset: str,
-    pool_kinds: Collection[str] | None = None,
-    executor: Executor | None = None,
-) -> TrainingSplit:
+def split_holdout(scene: str, preset: str, render: Render = render_preset_clips) -> TrainingSplit:
     """All scenes of a preset except one, which is the test scene: leave-one-scene-out.
 
     The protocol of Scardigli et al. 2023. Two generated scenes validate, so that the held-out scene
@@ -319,12 +303,8 @@ def split_holdout(
     if scene not in scenes:
         problem = f"no scene '{scene}' to hold out"
         raise OptionError(unknown_name(problem, scene, scenes, f": preset '{preset}' has"))
-    folders = render_preset_clips(
-        [name for name in scenes if name != scene], preset, pool_kinds=pool_kinds, executor=executor
-    )
-    validate = render_preset_clips(
-        None, "train", seeds=VALIDATION_SEEDS, pool_kinds=pool_kinds, executor=executor
-    )
+    folders = render([name for name in scenes if name != scene], preset)
+    validate = render(None, "train", seeds=VALIDATION_SEEDS)
     return TrainingSplit(folders, {"train": validate})
 
 

@@ -126,7 +126,7 @@ def main(argv: Sequence[str] | None = None) -> str:
     options = parser.parse_args(argv)
     torch.set_num_threads(options.threads)
     pool = registry.get_variant(options.method).traits.pool
-    clips = options.clips or dataset.split_generated("train", pool_kinds={pool}).train
+    clips = options.clips or dataset.select_split(None, None, None, {pool}).train
     config = TrainingConfig(frames=options.frames, crop=options.crop, bf16=options.bf16)
     clock = time.process_time if options.cpu_time else time.perf_counter
     return profile(options.method, clips, config, options.device, clock).to_markdown()
