@@ -71,8 +71,8 @@ class ModelCard:
 
     @property
     def frames_trained(self) -> int:
-        """Frames that these weights were trained on, over all starts."""
-        return self.frames_before + (self.kept_at or self.frames_seen)
+        """Frames of all trainings that led to these weights, over all starts."""
+        return self.frames_before + self.frames_seen
 
 
 def card_path(path: Path) -> Path:

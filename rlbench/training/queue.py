@@ -193,8 +193,8 @@ def _link(file: Path, entries: Sequence[Entry]) -> list[Entry]:
     linked = []
     for entry in entries:
         start = entry.options.get("start")
-        waits = start in names and start != entry.name  # else it starts from shipped weights
-        after = dict.fromkeys([*entry.after, *([start] if waits else [])])
+        others = [name for name in names if name != entry.name]  # itself: from shipped weights
+        after = dict.fromkeys([*entry.after, *([start] if start in others else [])])
         if unknown := next((name for name in after if name not in names), ""):
             problem = f"{file}, training '{entry.name}': no training '{unknown}' to come after"
             raise QueueError(unknown_name(problem, unknown, names))
