@@ -22,7 +22,6 @@ from rlbench.training.checkpoint import select_prefix
 from rlbench.training.task import TrainingConfig, TrainingError, TrainingTask
 
 __all__ = [
-    "NonFiniteStep",
     "NonFiniteStepError",
     "SetScore",
     "TrainState",
@@ -38,31 +37,21 @@ MAX_LAYERS_SHOWN = 3  # in an error message
 Tensors = tuple[Tensor, ...] | list[Tensor]
 
 
-class NonFiniteStep(NamedTuple):
-    """A loss or gradient norm that is not finite, and where it occurred."""
-
-    quantity: str  # the loss, or the gradient norm of a network
-    value: float
-    step: int  # within the sequence, from 0
-    layers: tuple[str, ...]  # parameters whose values or gradients are not finite
-
-    def __str__(self) -> str:
-        """One line for an error message."""
-        message = f"{self.quantity} is {self.value} at step {self.step} of the sequence"
-        if not self.layers:
-            return message
-        hidden = len(self.layers) - MAX_LAYERS_SHOWN
-        more = f" and {hidden} more" if hidden > 0 else ""
-        return f"{message}, not finite in {', '.join(self.layers[:MAX_LAYERS_SHOWN])}{more}"
-
-
 class NonFiniteStepError(TrainingError):
     """A step that was not taken, because it would have made the weights non-finite."""
 
-    def __init__(self, failure: NonFiniteStep) -> None:
-        """Store the failure and use it as the message."""
-        super().__init__(str(failure))
-        self.failure = failure
+    def __init__(self, quantity: str, value: float, step: int, layers: Sequence[str]) -> None:
+        """`quantity` is the loss or a gradient norm; `step` counts from 0 within the sequence.
+
+        `layers` are the parameters whose values or gradients are not finite.
+        """
+        message = f"{quantity} is {value} at step {step} of the sequence"
+        if layers:
+            hidden = len(layers) - MAX_LAYERS_SHOWN
+            more = f" and {hidden} more" if hidden > 0 else ""
+            message += f", not finite in {', '.join(layers[:MAX_LAYERS_SHOWN])}{more}"
+        super().__init__(message)
+        self.step, self.layers = step, layers
 
 
 class SetScore(NamedTuple):
@@ -229,7 +218,7 @@ class TrainState:
             for name, weight in module.named_parameters()
             if not all(bool(t.isfinite().all()) for t in (weight, weight.grad) if t is not None)
         ]
-        raise NonFiniteStepError(NonFiniteStep(quantity, value.item(), step, tuple(layers)))
+        raise NonFiniteStepError(quantity, value.item(), step, layers)
 
 
 def _first_values(task: TrainingTask) -> dict[nn.Parameter, Tensor]:

@@ -15,7 +15,6 @@ from rlbench.clips.procedural.clip import procedural_clip
 from rlbench.frames import Size
 from rlbench.training import TrainingConfig, TrainingError, TrainingTask
 from rlbench.training.train_state import (
-    NonFiniteStep,
     NonFiniteStepError,
     TrainState,
     validation_budgets,
@@ -181,14 +180,14 @@ def test_the_error_names_the_layers_whose_gradients_are_not_finite():
     state = train_state(network, lambda: (last() - last().detach()).sqrt().sum())
     with pytest.raises(NonFiniteStepError) as raised:
         train(state)
-    assert raised.value.failure.layers == ("1.weight", "1.bias")
+    assert raised.value.layers == ["1.weight", "1.bias"]
 
 
 def test_the_error_names_three_layers_and_counts_the_others():
-    failure = NonFiniteStep("loss", float("nan"), 2, ("a", "b", "c", "d", "e"))
+    error = NonFiniteStepError("loss", float("nan"), 2, "abcde")
     expected = "loss is nan at step 2 of the sequence, not finite in a, b, c and 2 more"
-    assert str(NonFiniteStepError(failure)) == expected
-    assert str(failure._replace(layers=("a", "b", "c"))).endswith("not finite in a, b, c")
+    assert str(error) == expected
+    assert str(NonFiniteStepError("loss", 0.0, 0, "abc")).endswith("not finite in a, b, c")
 
 
 @pytest.mark.parametrize(
@@ -215,7 +214,7 @@ def test_a_step_that_is_not_finite_is_not_taken(fault, message):
     state.task.__dict__["losses"] = losses
     with pytest.raises(NonFiniteStepError, match=message) as raised:
         train(state)
-    assert raised.value.failure.step == 1
+    assert raised.value.step == 1
     torch.testing.assert_close(weights(network), after, rtol=0, atol=0)
     torch.testing.assert_close(state.optimizer.state_dict(), moments[0], rtol=0, atol=0)
 
