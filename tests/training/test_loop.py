@@ -8,6 +8,7 @@ import signal
 import subprocess
 import sys
 from contextlib import contextmanager
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -41,18 +42,22 @@ def kill_after(sequences: int | None):
     return on_progress
 
 
-def train_oidn(out: Path, clip: Path, sequences: int | None = None) -> tuple[ModelCard, str]:
+def train_oidn(
+    out: Path, clip: Path, sequences: int | None = None, row: str = "retrained", anchor: float = 0.0
+) -> tuple[ModelCard, str]:
     """OIDN trained on four sequences of a tiny clip; its card and the hash of its weights."""
-    train("oidn/retrained", [clip], [clip], out, OIDN, on_progress=kill_after(sequences))
-    return read_card(out / "retrained.safetensors"), digest(out / "retrained.safetensors")
+    config = replace(OIDN, anchor=anchor)
+    train(f"oidn/{row}", [clip], [clip], out, config, on_progress=kill_after(sequences))
+    return read_card(out / f"{row}.safetensors"), digest(out / f"{row}.safetensors")
 
 
-def test_a_killed_run_ends_as_an_undisturbed_one(tmp_path):
+@pytest.mark.parametrize("chosen", [("retrained", 0.0), ("tuned", 30.0)], ids=str)
+def test_a_killed_run_ends_as_an_undisturbed_one(tmp_path, chosen):
     clip = write_noise(tmp_path / "clips" / "noise", h=32, w=32)
-    with pytest.raises(KilledError):
-        train_oidn(tmp_path / "killed", clip, 3)  # one sequence after the only checkpoint
-    resumed, resumed_hash = train_oidn(tmp_path / "killed", clip)
-    card, expected_hash = train_oidn(tmp_path / "undisturbed", clip)
+    with pytest.raises(KilledError):  # one sequence after the only checkpoint
+        train_oidn(tmp_path / "killed", clip, 3, *chosen)
+    resumed, resumed_hash = train_oidn(tmp_path / "killed", clip, None, *chosen)
+    card, expected_hash = train_oidn(tmp_path / "undisturbed", clip, None, *chosen)
     assert resumed_hash == expected_hash
     assert (resumed.frames_seen, resumed.steps) == (card.frames_seen, card.steps) == (24, 12)
     assert resumed.validation_history == card.validation_history
