@@ -15,7 +15,7 @@ from rlbench.clips.export import export_clip
 from rlbench.clips.header import ClipError, read_header
 from rlbench.clips.importers.layout import ready_layouts
 from rlbench.clips.stored import open_clip, verify
-from rlbench.training.own_clips import find_own_clips
+from rlbench.training.dataset import find_own_clips
 from tests.cli.runner import rlbench
 from tests.conftest import write_noise
 
