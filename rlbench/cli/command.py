@@ -33,6 +33,7 @@ INTERRUPTED, PIPE_CLOSED = 130, 141  # exit codes of shells: 128 + SIGINT, 128 +
 KEPT = {  # command: what an interrupted one leaves; None in place of a folder: it has a default
     "render": "finished frames are kept",
     "import": "finished frames are kept in {out}",
+    "denoise": "finished frames are kept in {out}",
     "stress": "finished sections are kept in {out}",
     "train": "clips are kept in the cache and checkpoints in {out}",
     "crossval": "finished cells and the checkpoints of trainings are kept in {out}",
