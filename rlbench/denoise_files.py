@@ -196,7 +196,7 @@ def _with_spp(patterns: tuple[str, ...], spp: int) -> tuple[str, ...]:
 
 def _only_file(layout: Layout, file: Path) -> Layout:
     """The layout of one file, which holds the images that are in the radiance's files."""
-    shared = {
+    shared: dict[str, Any] = {
         name: replace(image, files=re.sub(r"[\[\]{}*]", "*", file.name))
         for name, image in layout.images.items()
         if set(image.patterns) & set(layout.radiance.patterns)
@@ -255,6 +255,11 @@ class DenoisingSummary:
     kept: int = 0  # frames that were there
     repairs: Counter[str] = field(default_factory=Counter)  # invalid pixels, by image
 
+    def count(self, repairs: Mapping[str, int]) -> None:
+        """Add a written frame."""
+        self.written += 1
+        self.repairs.update(repairs)
+
 
 def denoise_sequence(
     noisy: NoisySequence,
@@ -279,27 +284,20 @@ def denoise_sequence(
     with locked_folder(out):
         settings = _claim(noisy, label, exposure, out)
         unfinished = [i for i in range(len(noisy)) if not _is_finished(noisy, i, out)]
-        summary = DenoisingSummary(kept=len(noisy) - len(unfinished))
-        if not unfinished:
-            for _ in range(len(noisy)):
-                on_frame()
-            return summary
         state_file = out / f"{noisy.name}.denoise-state.safetensors"
-        first = start = unfinished[0]
-        state: State = None
-        if method.traits.temporal:
-            start, state = _restore(noisy, method, settings, first, state_file, device)
-            unfinished = list(range(first, len(noisy)))
-            summary.kept = first
+        start, state = len(noisy), None
+        if unfinished and method.traits.temporal:
+            start, state = _restore(noisy, method, settings, unfinished[0], state_file, device)
+            unfinished = list(range(unfinished[0], len(noisy)))
+        summary = DenoisingSummary(kept=len(noisy) - len(unfinished))
         for index in range(len(noisy)):
-            if index >= start and (method.traits.temporal or index in unfinished):
+            if index in unfinished or index >= start:
                 frame = noisy.read(index)
                 result = denoise_frame(method, frame, state, settings["exposure"], device)
-                state = result.state if method.traits.temporal else None
-                if index >= first:
+                state = result.state
+                if index in unfinished:
                     noisy.write(index, out, result.image)
-                    summary.written += 1
-                    summary.repairs.update(result.repairs)
+                    summary.count(result.repairs)
                 if method.traits.temporal and not (index + 1) % STATE_PERIOD:
                     _save(state, {"next": index + 1, **settings}, state_file)
             on_frame()

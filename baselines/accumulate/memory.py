@@ -7,6 +7,7 @@ decides how far that state's history holds, so that reprojection and rejection a
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, replace
 from typing import NamedTuple
 
@@ -133,7 +134,7 @@ def share_by_spp(slot_spp: float) -> float:
     does. The square root of the samples is a choice on clips of preset `development`; it is 1 for
     samples of the benchmark.
     """
-    return slot_spp**-0.5
+    return 1 / math.sqrt(slot_spp)
 
 
 def trust_by_rule(

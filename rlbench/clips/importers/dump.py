@@ -65,10 +65,10 @@ def match_files(source: Path, layout: Layout) -> dict[str, dict[int, dict[str, F
     clips: dict[str, dict[int, dict[str, Files]]] = defaultdict(
         lambda: defaultdict(lambda: defaultdict(dict))
     )
-    folder, files = (
-        (source.parent, [source]) if source.is_file() else (source, limits.list_files(source))
-    )
-    paths = {path: path.relative_to(folder) for path in files}
+    if source.is_file():
+        paths = {source: Path(source.name)}
+    else:
+        paths = {path: path.relative_to(source) for path in limits.list_files(source)}
     patterns = [pattern for image in layout.images.values() for pattern in image.patterns]
     signs = SignReader(paths.values(), patterns)
     for path, relative in paths.items():
