@@ -24,7 +24,7 @@ from rlbench.method import Method
 from rlbench.ops.color import encode_srgb
 from rlbench.system.paths import cache_folder
 
-ROWS = ("mean", "oidn", "accumulate/tuned", "accumulate/intel")
+ROWS = ("oidn", "accumulate/tuned", "accumulate/intel")
 SPP = (4, 16, 64)
 FILE = Path(__file__).parent / "results" / "denoise.csv"
 
@@ -73,10 +73,15 @@ def main() -> None:
             found = scores.setdefault((spp, row), {})
             for metric, value in measure(methods[row], frames, spp):
                 found.setdefault(metric, []).append(value)
+        write(scores)
         print(folder.name, flush=True)  # noqa: T201
+
+
+def write(scores: dict[tuple[int, str], dict[str, list[float]]]) -> None:
+    """Write the means over the frames so far."""
     lines = [
-        {"row": row, "spp": spp, "clips": len(clips)}
-        | {name: sum(values) / len(values) for name, values in found.items()}
+        {"row": row, "spp": spp, "frames": len(found["psnr"])}
+        | {name: round(sum(values) / len(values), 4) for name, values in found.items()}
         for (spp, row), found in scores.items()
     ]
     with FILE.open("w", newline="") as file:
