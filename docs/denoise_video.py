@@ -20,7 +20,7 @@ from rlbench.ops.color import encode_srgb
 FOLDER = Path(__file__).parent / "results"
 TITLES = ("4 samples a pixel", "oidn, frame by frame", "accumulate/tuned")
 COMBINED = (("*.Combined.R", "*.Combined.G", "*.Combined.B"),)
-EXPOSURE, BAR, ROW, ZOOM = 3.0, 18, 70, 4
+EXPOSURE, BAR, ROW, ZOOM = 1.2, 18, 70, 4
 
 
 def read_frames(folder: str) -> list[NDArray[np.uint8]]:

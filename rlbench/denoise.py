@@ -216,7 +216,7 @@ def _sanitize(
     mean = frame.mean.to(device, torch.float32) * exposure
     pool = StoredPool(mean.unsqueeze(1), (0,) * len(mean))
     is_static = given.static or "motion" not in buffers
-    whole = Frame(0, GBuffer(buffers, is_static), pool, Reference(mean, mean))
-    gbuffer, valid, repairs = sanitize_frame(whole, inputs)
+    frame_input = Frame(0, GBuffer(buffers, is_static), pool, Reference(mean, mean))
+    gbuffer, valid, repairs = sanitize_frame(frame_input, inputs)
     one = torch.ones_like(mean[:, :1], dtype=torch.int64)
     return gbuffer, valid.read(valid.empty(), one)[:, 0], repairs

@@ -172,8 +172,8 @@ def _as_means(layout: Layout, folder: Path, spp: float | None) -> tuple[Layout, 
         numbered = (images["radiance"] for frames in files.values() for images in frames.values())
         counts = sorted({key.spp for found in numbered for key in found})
         if spp not in counts and (spp or len(counts) > 1):
-            asked = f"--spp {spp:g}" if spp else "no --spp"
-            raise SourceError(f"{folder} has images of {counts} spp, and {asked} was given")
+            given = f"--spp {spp:g}" if spp else "no --spp"
+            raise SourceError(f"{folder} has images of {counts} spp, and {given} was given")
         spp = spp or next((float(count) for count in counts), None)
         tables: Mapping[str, Any] = {
             name: replace(image, files=_with_spp(image.patterns, round(spp or 1)))

@@ -183,7 +183,7 @@ def _require(
         patterns = " or ".join(layout.images[image].patterns)
         reason = {
             "radiance": "no image of 1 spp, and a mean of more cannot be separated into the "
-            "samples that methods draw",
+            "samples that methods draw (rlbench denoise takes it as it is)",
             "reference": "no reference, so nothing can be scored on it",
         }[image]
         raise SourceError(
