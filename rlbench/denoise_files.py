@@ -201,7 +201,7 @@ def _only_file(layout: Layout, file: Path) -> Layout:
         for name, image in layout.images.items()
         if set(image.patterns) & set(layout.radiance.patterns)
     }
-    none = dict.fromkeys((*layout.images, "camera"))
+    none: dict[str, Any] = dict.fromkeys((*layout.images, "camera"))
     return replace(layout, **(none | shared))
 
 

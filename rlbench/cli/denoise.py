@@ -119,9 +119,9 @@ def denoise(
             for shot in shots
         ]
     for shot, summary in zip(shots, summaries, strict=True):
+        count = f"{summary.written} frame{'s' * (summary.written != 1)}"
         typer.echo(
-            f"{out}: '{shot.name}', {summary.written} frames denoised by {label}, {summary.kept} "
-            "were there"
+            f"{out}: '{shot.name}', {count} denoised by {label}, {summary.kept} were there before"
         )
         for note in shot.notes:
             typer.echo(f"  {note}")

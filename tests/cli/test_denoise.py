@@ -31,7 +31,7 @@ def test_a_shot_is_denoised_once(render, tmp_path):
 def test_one_image_by_a_row_without_memory(render, tmp_path):
     image = sorted(render.iterdir())[0]
     output = rlbench("denoise", image, "-m", "oidn", "--spp", 1, "-o", tmp_path)
-    assert "1 frames denoised by oidn" in output
+    assert "1 frame denoised by oidn" in output
     assert "note" not in output
 
 
