@@ -6,10 +6,12 @@ A table stands between `<!-- table: SOURCE -->` and `<!-- /table -->`. SOURCE is
 - `families`: every family, its paper and its licence
 - `rows PATTERN,...`: rows such as `ours/latent*`, their questions and weights
 - `scores ROW,...`: PSNR of rows on `mini` and on `real`
+- `denoise`: what `rlbench denoise` gives, from `results/denoise.csv` (`docs/measure_denoise.py`)
 """
 
 from __future__ import annotations
 
+import csv
 import re
 from collections.abc import Sequence
 from fnmatch import fnmatch
@@ -36,6 +38,8 @@ def _make_table(source: str) -> str:
     kind, _, names = source.partition(" ")
     if source == "families":
         return _format(_list_families())
+    if source == "denoise":
+        return _format(_list_denoised())
     if kind == "rows":
         return _format(_list_rows(names.split(",")))
     if kind == "scores":
@@ -105,6 +109,21 @@ def _list_scores(names: Sequence[str]) -> list[list[str]]:
             scores = dict(zip(header, line, strict=False))
             cells += [scores.get(spp, "-").split("[")[0].strip(" *") for spp in BUDGETS]
         rows.append([cell.removesuffix(" tie") for cell in cells])
+    return rows
+
+
+def _list_denoised() -> list[list[str]]:
+    """PSNR, warped error and flicker of rows on files, by samples per pixel."""
+    with (DOCS / "results" / "denoise.csv").open(newline="") as file:
+        lines = list(csv.DictReader(file))
+    budgets = sorted({int(line["spp"]) for line in lines})
+    metrics = {"psnr": "PSNR", "warped_error": "warped", "flicker": "flicker"}
+    head = ["row", *(f"{spp} spp: {title}" for spp in budgets for title in metrics.values())]
+    rows = [head, ["---", *["---:"] * (len(head) - 1)]]
+    for name in dict.fromkeys(line["row"] for line in lines):
+        found = {int(line["spp"]): line for line in lines if line["row"] == name}
+        cells = [f"{float(found[spp][metric]):.2f}" for spp in budgets for metric in metrics]
+        rows.append([f"`{name}`", *cells])
     return rows
 
 

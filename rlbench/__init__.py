@@ -21,14 +21,15 @@ __getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)
 
 
 class _Package(ModuleType):
-    """This package, in which `rlbench.run` is the function, whatever is imported.
+    """This package, in which `rlbench.run` and `rlbench.denoise` are functions always.
 
-    Python would replace it by the submodule of the same name, the page `rlbench/run.py`, as soon as
-    anything imports that. The module is reached by `from rlbench.run import unroll`.
+    Python would replace them by the submodules of the same names, such as the page
+    `rlbench/run.py`, as soon as anything imports these. A module is reached by
+    `from rlbench.run import unroll`.
     """
 
     def __setattr__(self, name: str, value: Any) -> None:
-        if not (name == "run" and isinstance(value, ModuleType)):
+        if not (name in ("run", "denoise") and isinstance(value, ModuleType)):
             super().__setattr__(name, value)
 
 

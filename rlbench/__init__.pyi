@@ -4,6 +4,7 @@ from .benchmark.listing import list_installed
 from .clips.in_memory import InMemoryClip
 from .clips.procedural.clip import procedural_clip
 from .clips.stored import open_clip
+from .denoise import NoisyFrame, denoise
 from .errors import RlbenchError
 from .family import Family, Traits, Variant
 from .frames import Clip, Frame, GBuffer, Pool, Reference, Samples, Size
@@ -23,6 +24,7 @@ __all__ = [
     "InMemoryClip",
     "Method",
     "MethodWrapper",
+    "NoisyFrame",
     "Pool",
     "Reference",
     "RlbenchError",
@@ -31,6 +33,7 @@ __all__ = [
     "State",
     "Traits",
     "Variant",
+    "denoise",
     "list_installed",
     "load_for_inference",
     "load_method",

@@ -171,6 +171,7 @@ class Samples:
 
     radiance: Float[Tensor, "n s 3 h w"]  # linear
     counts: Int[Tensor, "n 1 h w"]  # samples per pixel, 0 to s
+    slot_spp: float = 1.0  # rendered samples behind each one; above 1 in rlbench.denoise alone
 
     @property
     def valid_mask(self) -> Bool[Tensor, "n s 1 h w"]:

@@ -50,7 +50,8 @@ def test_public_names_have_a_docstring(module, name):
 
 @pytest.mark.parametrize("name", rlbench.__all__)
 def test_names_on_rlbench_are_in_the_reference(name):
-    path = f"benchmark.api.{name}" if name == "run" else name  # else it would be the page run.py
+    modules = {"run": "benchmark.api.run", "denoise": "denoise.denoise"}  # else those named so
+    path = modules.get(name, name)
     assert re.search(rf"^::: rlbench\.{path}$", REFERENCE, re.MULTILINE)
 
 
@@ -64,9 +65,11 @@ def test_importing_a_package_loads_no_torch(module):
     assert subprocess.run([sys.executable, "-c", code], cwd=ROOT).returncode == 0
 
 
-@pytest.mark.parametrize("first", ["import rlbench.run", "from rlbench.run import unroll", "pass"])
-def test_run_is_the_function_whatever_was_imported_before(first):
-    code = f"{first}\nimport rlbench, types\nassert isinstance(rlbench.run, types.FunctionType)"
+@pytest.mark.parametrize("first", ["import rlbench.{}", "from rlbench.{} import __all__", "pass"])
+@pytest.mark.parametrize("name", ["run", "denoise"])
+def test_a_name_is_the_function_whatever_was_imported_before(first, name):
+    check = f"assert isinstance(rlbench.{name}, types.FunctionType)"
+    code = f"{first.format(name)}\nimport rlbench, types\n{check}"
     assert subprocess.run([sys.executable, "-c", code], cwd=ROOT).returncode == 0
 
 

@@ -7,6 +7,7 @@ decides how far that state's history holds, so that reprojection and rejection a
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, replace
 from typing import NamedTuple
 
@@ -43,6 +44,7 @@ __all__ = [
     "empty_memory",
     "reproject_image",
     "reproject_memory",
+    "share_by_spp",
     "surface_weight",
     "trust_by_rule",
     "weigh_history",
@@ -114,20 +116,35 @@ def reproject_memory(gbuffer: GBuffer, memory: Memory) -> History:
 
 
 def accumulate_frame(
-    history: History, current: AccumulatedRadiance
+    history: History, current: AccumulatedRadiance, slot_spp: float = 1.0
 ) -> tuple[AccumulatedRadiance, History]:
-    """The radiance up to this frame, and the history that new samples do not contradict."""
+    """The radiance up to this frame, and the history that new samples do not contradict.
+
+    `slot_spp` is that of the samples: see `share_by_spp`.
+    """
     history = history.with_confidence(history_confidence(history.radiance, current, history.image))
-    trust = trust_by_rule(history.static_mask)
+    trust = trust_by_rule(history.static_mask, share_by_spp(slot_spp))
     return accumulate(history.radiance, current, trust), history
 
 
-def trust_by_rule(static_mask: Bool[Tensor, "n 1 h w"]) -> Float[Tensor, "n 1 h w"]:
-    """The factor on the weight of old radiance: 0.8, so that old light fades.
+def share_by_spp(slot_spp: float) -> float:
+    """The factor on the weight of history in frames of more samples than methods are trained on.
+
+    What reprojection blurs and what light changes does not shrink with more samples, while noise
+    does. The square root of the samples is a choice on clips of preset `development`; it is 1 for
+    samples of the benchmark.
+    """
+    return 1 / math.sqrt(slot_spp)
+
+
+def trust_by_rule(
+    static_mask: Bool[Tensor, "n 1 h w"], share: float = 1.0
+) -> Float[Tensor, "n 1 h w"]:
+    """The factor on the weight of old radiance: 0.8 times `share`, so that old light fades.
 
     It is 1 where nothing moves, so that a still camera converges.
     """
-    return torch.where(static_mask, 1.0, TRUST)
+    return torch.where(static_mask, 1.0, TRUST * share)
 
 
 def surface_weight(history: History) -> Float[Tensor, "n 1 h w"]:
@@ -149,7 +166,7 @@ def weigh_history(
     """
     radiance = limit_fireflies(samples.radiance, samples.counts)
     current = frame_radiance(radiance, samples.counts)
-    accumulated, history = accumulate_frame(history, current)
+    accumulated, history = accumulate_frame(history, current, samples.slot_spp)
     surface = surface_features(gbuffer.normal, gbuffer.albedo, gbuffer.depth)
     filled = fill_holes(accumulated, gbuffer.albedo)
     memory = replace(memory, radiance=filled, surface=surface, age=memory.age + 1)

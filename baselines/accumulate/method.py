@@ -18,6 +18,7 @@ from baselines.accumulate.memory import (
     accumulate_frame,
     empty_memory,
     reproject_memory,
+    share_by_spp,
 )
 from baselines.oidn.method import CARDS as OIDN_CARDS
 from baselines.oidn.method import INPUT_CHANNELS, run_network, to_radiance
@@ -99,12 +100,11 @@ class Accumulate:
         radiance = limit_fireflies(samples.radiance, samples.counts)
         current = frame_radiance(radiance, samples.counts)
         history = self.memo.get(gbuffer, state, reproject_memory)
-        accumulated, history = accumulate_frame(history, current)
+        accumulated, history = accumulate_frame(history, current, samples.slot_spp)
         accumulated = fill_holes(accumulated, gbuffer.albedo)
         denoised = log_forward(self._run_network(gbuffer, accumulated))
-        image = log_inverse(
-            torch.lerp(denoised, history.image, self.blend_weight(denoised, history))
-        )
+        weight = self.blend_weight(denoised, history) * share_by_spp(samples.slot_spp)
+        image = log_inverse(torch.lerp(denoised, history.image, weight))
         change = _update_change(history, denoised.detach())
         surface = surface_features(gbuffer.normal, gbuffer.albedo, gbuffer.depth)
         return image, Memory(accumulated, image, change, surface, state.age + 1)

@@ -111,7 +111,9 @@ def _row(
     **changes: Any,
 ) -> tuple[Config, Variant]:
     """A row: the settings of `base` with `changes`, and the arguments of its `Variant`."""
-    return replace(base, **changes), Variant(question, traits, learned, pretrained, weights_from)
+    config = replace(base, **changes)
+    traits = replace(traits, reads_each_sample=config.sample_encoding == "single")
+    return config, Variant(question, traits, learned, pretrained, weights_from)
 
 
 def _paper(question: str, traits: Traits = TRAITS, **changes: Any) -> tuple[Config, Variant]:

@@ -14,7 +14,15 @@ __all__ = ["COMMANDS", "app"]
 CommandGroup.groups = {  # each command is the function of its name in the module of its name
     "Measure": ("run", "decide", "compare", "report"),
     "Look": ("view", "images", "video"),
-    "Your own frames and scenes": ("import", "export", "score", "lint", "render", "scenes"),
+    "Your own frames and scenes": (
+        "import",
+        "export",
+        "score",
+        "denoise",
+        "lint",
+        "render",
+        "scenes",
+    ),
     "Your own method": ("new", "check", "stress"),
     "Training": ("train",),
     "This machine": ("list", "doctor"),

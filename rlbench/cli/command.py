@@ -35,6 +35,7 @@ KEPT = {  # command: what an interrupted one leaves; None in place of a folder: 
     "import": "finished frames are kept in {out}",
     "export": "finished frames are kept in {out}",
     "score": "finished clips are kept in {out}",
+    "denoise": "finished frames are kept in {out}",
     "stress": "finished sections are kept in {out}",
     "train": "clips are kept in the cache and checkpoints in {out}",
     "crossval": "finished cells and the checkpoints of trainings are kept in {out}",

@@ -32,6 +32,7 @@ __all__ = [
     "read_exr_header",
     "read_exr_parts",
     "read_planes",
+    "replace_channels",
     "write_exr",
 ]
 
@@ -45,6 +46,10 @@ PART_TYPES = {  # of a multi-part file: its flags
     b"deepscanline": DEEP,
     b"deeptile": DEEP | TILED,
 }
+LOSSY = (
+    *(OpenEXR.PXR24_COMPRESSION, OpenEXR.B44_COMPRESSION, OpenEXR.B44A_COMPRESSION),
+    *(OpenEXR.DWAA_COMPRESSION, OpenEXR.DWAB_COMPRESSION),
+)
 MAX_PARTS = 256
 MAX_NAME, MAX_LONG_NAME = 31, 255  # bytes
 MAX_CHANNELS = 4096
@@ -121,6 +126,46 @@ def read_planes(path: Path, header: ExrHeader, names: Sequence[str]) -> list[NDA
         if header.name not in decoded:
             raise ExrHeaderError(f"its part '{header.name}' is damaged or unfinished")
         return [np.array(decoded[header.name][name].pixels) for name in names]
+
+
+def replace_channels(
+    source: Path, target: Path, header: ExrHeader, planes: Mapping[str, NDArray[np.floating]]
+) -> None:
+    """Write a copy of a file, atomically, in which some channels of one part have other pixels.
+
+    `header` is that of the part in `source`, `planes` are [h w] of its display window, and are
+    stored in the types that the channels have; half numbers end at 65504. Attributes, other
+    channels and other parts stay, bit by bit: a file that is packed with loss is written as ZIP.
+    Raises ExrHeaderError for a damaged part, and WriteError.
+    """
+    with OpenEXR.File(str(source), separate_channels=True) as file:
+        parts = {part.name() if header.is_part else "": part for part in file.parts}
+        if header.name not in parts or len(file.parts) != len(read_exr_parts(source)):
+            raise ExrHeaderError("one of its parts is damaged or unfinished")
+        left, top, right, bottom = header.data_window
+        x, y = header.display_window[:2]
+        h, w = header.display_size
+        rows = slice(max(top, y), min(bottom, y + h - 1) + 1)
+        columns = slice(max(left, x), min(right, x + w - 1) + 1)
+        for name, plane in planes.items():
+            channel = parts[header.name].channels[name]
+            pixels = channel.pixels.copy()
+            most = np.finfo(pixels.dtype).max
+            inside = plane[_shift(rows, y), _shift(columns, x)].clip(-most, most)
+            pixels[_shift(rows, top), _shift(columns, left)] = inside
+            channel.pixels = pixels
+        for part in file.parts:
+            if part.header["compression"] in LOSSY:
+                part.header["compression"] = OpenEXR.ZIP_COMPRESSION
+        with atomic_write(target) as temporary:
+            try:
+                file.write(str(temporary))
+            except RuntimeError as error:
+                raise write_error(target, error) from error
+
+
+def _shift(side: slice, by: int) -> slice:
+    return slice(side.start - by, side.stop - by)
 
 
 def channel_dtype(path: Path, name: str) -> type[np.floating]:

@@ -58,11 +58,17 @@ def find_dump_sequences(
 
 
 def match_files(source: Path, layout: Layout) -> dict[str, dict[int, dict[str, Files]]]:
-    """The files that match the layout: by clip, frame and image. Raises SourceError."""
+    """The files that match the layout: by clip, frame and image; `source` may be a single file.
+
+    Raises SourceError.
+    """
     clips: dict[str, dict[int, dict[str, Files]]] = defaultdict(
         lambda: defaultdict(lambda: defaultdict(dict))
     )
-    paths = {path: path.relative_to(source) for path in limits.list_files(source)}
+    if source.is_file():
+        paths = {source: Path(source.name)}
+    else:
+        paths = {path: path.relative_to(source) for path in limits.list_files(source)}
     patterns = [pattern for image in layout.images.values() for pattern in image.patterns]
     signs = SignReader(paths.values(), patterns)
     for path, relative in paths.items():
@@ -121,6 +127,7 @@ def _sequence(
         buffers=tuple(b for b in GBUFFER if getattr(layout, b) and b not in found.absent),
         limitations=_limitations(layout, found, numbers[0] - 1 in rendered),
         files=tuple(path for files in found.frames.values() for path in files.paths),
+        radiance=tuple(found.frames[n].images["radiance"][0] for n in numbers),
         read=partial(
             read_frame, {**available, **found.frames}, layout, size, source, min(rendered)
         ),
@@ -181,7 +188,7 @@ def _require(
         patterns = " or ".join(layout.images[image].patterns)
         reason = {
             "radiance": "no image of 1 spp, and a mean of more cannot be separated into the "
-            "samples that methods draw",
+            "samples that methods draw (rlbench denoise takes it as it is)",
             "reference": "no reference, so nothing can be scored on it (if that is meant, set "
             "optional = true in [reference] of a layout)",
         }[image]

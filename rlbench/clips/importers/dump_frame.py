@@ -33,7 +33,16 @@ from rlbench.clips.importers.image_files import (
 from rlbench.clips.importers.layout import Image, Layout
 from rlbench.clips.importers.sequence import ImportedFrame, Pixels, SourceError
 
-__all__ = ["FrameFiles", "count_samples", "has_image", "image_size", "read_frame", "read_rotation"]
+__all__ = [
+    "FLIPS",
+    "FrameFiles",
+    "count_samples",
+    "has_image",
+    "image_channels",
+    "image_size",
+    "read_frame",
+    "read_rotation",
+]
 
 RGB, XYZ = ("*.R", "*.G", "*.B"), ("*.X", "*.Y", "*.Z")
 CHANNELS = {  # usual names, the preferred ones first
@@ -184,9 +193,9 @@ class _Reader:
 def _places(files: FrameFiles, name: str, layout: Layout) -> list[tuple[Path, Channels]]:
     """File and channels of each image of a kind: a file each, or the samples in one of them."""
     image, paths = layout.images[name], files.images.get(name, ())
-    alternatives = _alternatives(name, image)
+    channels = image_channels(name, layout)
     if not paths or SAMPLE not in image.part + "".join(image.channel_names):
-        return [(path, Channels(alternatives, image.part, layout.layer)) for path in paths]
+        return [(path, channels) for path in paths]
 
     def fill(text: str, slot: str) -> str:
         return text.replace(SAMPLE, slot)
@@ -195,13 +204,19 @@ def _places(files: FrameFiles, name: str, layout: Layout) -> list[tuple[Path, Ch
         (
             paths[0],
             Channels(
-                [[fill(channel, slot) for channel in names] for names in alternatives],
+                [[fill(channel, slot) for channel in names] for names in channels.alternatives],
                 fill(image.part, slot),
                 layout.layer,
             ),
         )
         for slot in _slots(paths[0], image)
     ]
+
+
+def image_channels(name: str, layout: Layout) -> Channels:
+    """Where an image of the layout is in its files."""
+    image = layout.images[name]
+    return Channels(_alternatives(name, image), image.part, layout.layer)
 
 
 def _alternatives(name: str, image: Image) -> Sequence[Sequence[str]]:

@@ -20,6 +20,7 @@ __all__ = [
     "Channels",
     "ExrImage",
     "exr_size",
+    "find_channels",
     "has_channels",
     "list_channels",
     "png_size",
@@ -88,6 +89,12 @@ def read_exr_image(path: Path, channels: Channels, fill: float = 0.0) -> ExrImag
             pixels = np.full((h, w, len(names)), fill, data.dtype)
             pixels[target] = data[source]
         return ExrImage(pixels, empty, data[..., 0].size - int((~empty).sum()))
+
+
+def find_channels(path: Path, channels: Channels) -> tuple[ExrHeader, list[str]]:
+    """The part that `read_exr` reads, and the names of its channels. Raises SourceError."""
+    with _convert_errors(path):
+        return _find_channels(path, read_exr_parts(path), channels)
 
 
 def has_channels(path: Path, channels: Channels) -> bool:

@@ -60,6 +60,7 @@ class ImportedSequence:
     buffers: tuple[str, ...]  # of the G-buffer
     limitations: tuple[str, ...]  # keys of `rlbench.clips.header.LIMITATIONS`
     files: tuple[Path, ...]  # all files that are read
+    radiance: tuple[Path, ...] = ()  # the first file of radiance of each frame, of a dump
     read: Callable[[int, int], ImportedFrame]  # reads (frame number, samples per pixel)
     jitter: tuple[tuple[float, float], ...] = ()  # offset of the samples of each frame, pixels
     fps: float = 24.0  # frames per second

@@ -1,0 +1,222 @@
+"""Denoise frames of which only a mean image is known: any row of the zoo as a tool.
+
+    for image in rlbench.denoise(frames): ...
+
+In the benchmark a method buys samples where it wants them, and sees each. A frame here was rendered
+before, with the same number of samples everywhere, and its file holds their mean alone. The method
+gets the mean in place of each sample, up to 8 of them, and is told how many samples are behind it.
+So densities are not asked for, and the deviation of samples, which some rules read, is 0.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import dataclass, field, fields, is_dataclass, replace
+from typing import Any
+
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+from rlbench import registry
+from rlbench.clips.exposure import area_luminance, exposure_from_areas
+from rlbench.errors import RlbenchError
+from rlbench.frames import BUFFERS, Frame, GBuffer, Reference, Samples, Size, StoredPool
+from rlbench.method import Method, State
+from rlbench.sanitize import Repairs, sanitize_frame
+
+__all__ = [
+    "DEFAULT_METHOD",
+    "DenoiseError",
+    "DenoisedFrame",
+    "NoisyFrame",
+    "check_denoises_means",
+    "denoise",
+    "denoise_frame",
+    "estimate_exposure",
+    "read_leaves",
+    "replace_leaves",
+]
+
+DEFAULT_METHOD = "accumulate/tuned"
+MAX_SLOTS = 8  # of the largest pool that methods were trained with
+Leaf = Tensor | bool | int | float | str | None
+
+
+class DenoiseError(RlbenchError, ValueError):
+    """A method or a frame that cannot be denoised from a mean alone."""
+
+
+@dataclass(frozen=True)
+class NoisyFrame:
+    """A rendered frame: the mean of its samples, and the G-buffer.
+
+    The methods of the zoo read albedo, normal, depth and motion (`rlbench.GBuffer` has their units
+    and signs); a method needs only those that its `traits.inputs` name. Of the first frame no
+    motion is needed. `GBuffer(..., static=True)` says that nothing moves.
+    """
+
+    gbuffer: GBuffer
+    mean: Float[Tensor, "n 3 h w"]  # linear radiance, at any exposure
+    spp: float  # samples per pixel behind the mean, >= 1
+
+
+@dataclass(frozen=True)
+class DenoisedFrame:
+    """An image, and what the next frame needs."""
+
+    image: Float[Tensor, "n 3 h w"]  # linear radiance, at the exposure of the input
+    state: State
+    repairs: Repairs = field(default_factory=dict)  # invalid pixels that were replaced, by image
+
+
+def denoise(
+    frames: Iterable[NoisyFrame],
+    method: str | Method = DEFAULT_METHOD,
+    *,
+    device: torch.device | str = "cpu",
+    exposure: float | None = None,
+) -> Iterator[Float[Tensor, "n 3 h w"]]:
+    """Denoise the frames of one shot in order; yields the image of each, linear radiance.
+
+    A frame is read when its image is asked for, so memory is that of one frame and of the method's
+    state. Images are on the device of their frame. Radiance times `exposure` is 1 at display white;
+    by default the first frame decides, as in `rlbench render`. For a frame after a cut, start anew.
+
+    Raises DenoiseError for a method that needs more than the mean (see `check_denoises_means`), and
+    for a frame without a buffer that the method reads.
+
+    >>> frame = NoisyFrame(GBuffer({}, static=True), torch.rand(1, 3, 9, 11), spp=4)
+    >>> [tuple(image.shape) for image in denoise([frame, frame], "mean")]
+    [(1, 3, 9, 11), (1, 3, 9, 11)]
+    """
+    if isinstance(method, str):
+        check_denoises_means(method)
+        method = registry.load_method(method, device)
+    state: State = None
+    for frame in frames:
+        exposure = exposure or estimate_exposure(frame.mean)
+        result = denoise_frame(method, frame, state, exposure, device)
+        state = result.state
+        yield result.image
+
+
+@torch.inference_mode()
+def denoise_frame(
+    method: Method,
+    frame: NoisyFrame,
+    state: State,
+    exposure: float,
+    device: torch.device | str = "cpu",
+) -> DenoisedFrame:
+    """The image of one frame, and the method's state after it; `state` is None before the first.
+
+    `exposure` must be the same in all frames of a shot. Raises DenoiseError as `denoise` does.
+    """
+    _check_frame(method, frame, is_first=state is None)
+    n, _, h, w = frame.mean.shape
+    state = method.start(Size(n, h, w)) if state is None else state
+    gbuffer, mean, repairs = _sanitize(method, frame, exposure, torch.device(device))
+    slots = max(1, min(round(frame.spp), MAX_SLOTS))
+    counts = torch.full_like(mean[:, :1], slots, dtype=torch.int64)
+    radiance = mean.unsqueeze(1).expand(-1, slots, -1, -1, -1)  # takes no memory
+    samples = Samples(radiance, counts, max(frame.spp / slots, 1.0))
+    image, state = method.denoise(gbuffer, samples, state)
+    return DenoisedFrame((image / exposure).to(frame.mean.device), state, repairs)
+
+
+def check_denoises_means(name: str) -> None:
+    """Raise DenoiseError if the method of this name cannot work from means; names some that can."""
+    if reason := _refusal(name):
+        candidates = [
+            each for each in registry.expand([DEFAULT_METHOD, "all"]) if not _refusal(each)
+        ]
+        rows = [each for each in candidates if registry.get_variant(each).traits.temporal]
+        raise DenoiseError(f"'{name}' {reason}. Rows that work: {', '.join(rows[:8])}, ...")
+
+
+def estimate_exposure(mean: Float[Tensor, "n 3 h w"]) -> float:
+    """The exposure for a mean image, as `rlbench import` chooses it; 1 for a black one."""
+    valid = mean[0].float().nan_to_num(0, 0, 0).clamp_min(0)
+    areas = area_luminance(valid.movedim(0, -1).cpu().numpy())
+    return exposure_from_areas(areas) if areas.max() > 0 else 1.0
+
+
+def read_leaves(state: State, path: str = "state") -> Iterator[tuple[str, Leaf]]:
+    """The tensors and numbers in a state of dataclasses, tuples, lists and dicts, by their path.
+
+    Raises TypeError for any other object: the state cannot be written to a file then.
+    """
+    if state is None or isinstance(state, Tensor | bool | int | float | str):
+        yield path, state
+        return
+    for name, part in _parts(state).items():
+        yield from read_leaves(part, f"{path}.{name}")
+
+
+def replace_leaves(state: State, leaves: Mapping[str, Leaf], path: str = "state") -> State:
+    """A state of the structure of `state` with the leaves that `read_leaves` gave of another.
+
+    Raises LookupError where that one has another structure.
+    """
+    if state is None or isinstance(state, Tensor | bool | int | float | str):
+        return leaves[path]
+    parts = {
+        name: replace_leaves(part, leaves, f"{path}.{name}") for name, part in _parts(state).items()
+    }
+    if is_dataclass(state) and not isinstance(state, type):
+        return replace(state, **parts)
+    if isinstance(state, dict):
+        return dict(zip(state, parts.values(), strict=True))
+    return state._make(parts.values()) if hasattr(state, "_make") else type(state)(parts.values())
+
+
+def _parts(state: Any) -> dict[str, Any]:
+    """The parts of one object of a state, by name or index."""
+    if is_dataclass(state) and not isinstance(state, type):
+        return {each.name: getattr(state, each.name) for each in fields(state) if each.init}
+    if isinstance(state, dict):
+        return {str(name): part for name, part in state.items()}
+    if isinstance(state, tuple | list):
+        return {str(index): part for index, part in enumerate(state)}
+    raise TypeError(f"a state holds {type(state).__name__}, of which no part is known")
+
+
+def _refusal(name: str) -> str | None:
+    """Why a method cannot work from means, None if it can."""
+    traits = registry.get_variant(name).traits
+    if traits.pool != "path":
+        return f"needs samples of the pool '{traits.pool}', which a renderer does not write"
+    if traits.reads_each_sample:
+        return "reads samples one by one, and a frame has their mean alone"
+    if others := sorted(traits.inputs - set(BUFFERS)):
+        return f"reads the buffer {', '.join(others)}, which files of other renderers do not have"
+    return None
+
+
+def _check_frame(method: Method, frame: NoisyFrame, *, is_first: bool) -> None:
+    """Raise DenoiseError for a number of samples below 1, or a buffer that is missing."""
+    if not frame.spp >= 1:
+        raise DenoiseError(f"a frame has {frame.spp:g} samples per pixel; a mean has at least 1")
+    needed = method.traits.inputs - ({"motion"} if is_first or frame.gbuffer.static else set())
+    if missing := sorted(needed - set(frame.gbuffer.buffers)):
+        hint = "; GBuffer(..., static=True) says that nothing moves" * ("motion" in missing)
+        raise DenoiseError(
+            f"the method reads {', '.join(missing)}, and the frame has "
+            f"{', '.join(frame.gbuffer.buffers) or 'no buffer'}{hint}"
+        )
+
+
+def _sanitize(
+    method: Method, frame: NoisyFrame, exposure: float, device: torch.device
+) -> tuple[GBuffer, Float[Tensor, "n 3 h w"], Repairs]:
+    """G-buffer and exposed mean on the device, invalid values replaced as in a run."""
+    given, inputs = frame.gbuffer, method.traits.inputs
+    buffers = {k: v.to(device) for k, v in given.select(inputs).buffers.items()}
+    mean = frame.mean.to(device, torch.float32) * exposure
+    pool = StoredPool(mean.unsqueeze(1), (0,) * len(mean))
+    is_static = given.static or "motion" not in buffers
+    frame_input = Frame(0, GBuffer(buffers, is_static), pool, Reference(mean, mean))
+    gbuffer, valid, repairs = sanitize_frame(frame_input, inputs)
+    one = torch.ones_like(mean[:, :1], dtype=torch.int64)
+    return gbuffer, valid.read(valid.empty(), one)[:, 0], repairs
