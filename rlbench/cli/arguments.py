@@ -30,6 +30,7 @@ __all__ = [
     "parse_share",
     "parse_size",
     "parse_sizes",
+    "parse_time",
     "parse_train_spp",
     "parse_weights",
     "split_names",
@@ -166,6 +167,14 @@ def parse_positive(text: str) -> float:
     """A finite number above 0."""
     if not 0 < (number := _number(text)) < math.inf:
         raise typer.BadParameter(f"'{text}' is no number above 0")
+    return number
+
+
+@text_parser
+def parse_time(text: str) -> float:
+    """A finite number of at least 0."""
+    if not 0 <= (number := _number(text)) < math.inf:
+        raise typer.BadParameter(f"'{text}' is no time. Give milliseconds, at least 0")
     return number
 
 

@@ -1,4 +1,4 @@
-"""The command decide: which method gives the least error in a frame time."""
+"""The command decide: which denoiser gives the least error in a frame time."""
 
 from __future__ import annotations
 
@@ -20,19 +20,12 @@ from rlbench.registry.near_names import unknown_name
 if TYPE_CHECKING:
     import pandas as pd
 
+    from reports.decide import GivenTimes
+
 __all__ = ["decide"]
 
 
 def decide(
-    sample_ms: Annotated[
-        float,
-        option(
-            MEASUREMENT,
-            "your renderer's time for one sample of every pixel",
-            value="MS",
-            parse=parse_positive,
-        ),
-    ],
     frame_ms: Annotated[
         float,
         option(
@@ -42,6 +35,16 @@ def decide(
             parse=parse_positive,
         ),
     ],
+    sample_ms: Annotated[
+        float | None,
+        option(
+            MEASUREMENT,
+            "your renderer's time for one sample of every pixel; default: that of --cost",
+            value="MS",
+            parse=parse_positive,
+        ),
+    ] = None,
+    gbuffer_ms: options.GbufferMs = None,
     methods: options.RowMethods = None,
     scenes: options.RowScenes = None,
     needs: Annotated[
@@ -57,6 +60,15 @@ def decide(
     as_json: options.Json = False,
     plugin: options.Plugins = None,
     device: options.RowDevice = "",
+    cost: Annotated[
+        str,
+        option(
+            MEASUREMENT,
+            "times of your device, of samples and methods, in place of those of the results: a "
+            "TOML file, as rlbench speed --as-cost writes it",
+            value="COST",
+        ),
+    ] = "",
     allow_unreliable: Annotated[
         bool,
         flag(
@@ -65,20 +77,13 @@ def decide(
             "also use times that the clock rejected, with a mark",
         ),
     ] = False,
-    sample_device: Annotated[
-        str,
-        option(
-            MEASUREMENT,
-            "device of --sample-ms; a warning says if methods were timed on another",
-            value="NAME",
-        ),
-    ] = "",
 ) -> None:
-    """Name the method with the least error in a frame time.
+    """Name the denoiser with the least error in a frame time.
 
     Reads the results table alone: the expected score with its interval, the runner-up, and the
-    cost of a sample and the deadline at which another method wins. Times that the clock rejected
-    are not used; the exit code is 1 if all are of this kind.
+    cost of a sample and the deadline at which another method wins. Frame time is G-buffer +
+    inference + samples. Times that the clock rejected are not used; the exit code is 1 if all are
+    of this kind, and 2 if no denoiser fits.
 
     Examples:
 
@@ -86,18 +91,71 @@ def decide(
       rlbench decide --sample-ms 4.2 --frame-ms 16.7
       rlbench decide --sample-ms 4.2 --frame-ms 33.3 --scenes city,hall --needs albedo,normal
       rlbench decide --sample-ms 26.3 --frame-ms 100 --results results/gpu --json
+      rlbench decide --cost gpu.toml --frame-ms 16.7 --gbuffer-ms 1.5
     """
     load_plugins(plugin)
     import reports.decide
+    import reports.decision_text
 
     rows, left_out = read_rows(results, methods, scenes), list[str]()
     if needs is not None:
         rows, left_out = _select_by_inputs(rows, split_names(needs))
+    given = _read_times(cost, rows) if cost else None
+    if sample_ms is None and given is None:
+        raise OptionError("--sample-ms or --cost is needed: what a sample of every pixel costs")
     decision = reports.decide.decide(
-        rows, sample_ms, frame_ms, metric, device, left_out, allow_unreliable
+        rows,
+        sample_ms or (given.sample_ms if given else 0.0),
+        frame_ms,
+        metric,
+        device,
+        left_out,
+        allow_unreliable,
+        gbuffer_ms,
+        given,
+        _plugin_words(plugin),
     )
-    text = reports.decide.decision_text
-    typer.echo(as_json_text(decision) if as_json else text(decision, sample_device))
+    if as_json:
+        typer.echo(as_json_text(decision))
+        return
+    best = decision.candidates[0]
+    run = _next_run(rows, best.method, best.spp, results)
+    next_run = run and run + _plugin_words(plugin)
+    typer.echo(reports.decision_text.decision_text(decision, next_run))
+
+
+def _read_times(cost: str, rows: pd.DataFrame) -> GivenTimes:
+    """The times of a cost profile at its own size, for the rows of the results."""
+    from reports.decide import GivenTimes
+    from rlbench.benchmark.cost import profile
+
+    times = profile(cost)
+    found = {name: times.inference(name, times.height, times.width) for name in set(rows["method"])}
+    inference = {name: each.ms for name, each in found.items() if each}
+    size = f"{times.width}x{times.height}"
+    return GivenTimes(times.device, size, times.source, times.default_ms, inference)
+
+
+def _next_run(rows: pd.DataFrame, method: str, spp: float, results: Path) -> str:
+    """A command that measures twice the budget of a row; empty where none is known to work.
+
+    It has to have the preset of the row, whose clips have so many samples, and its cost of a
+    sample; the weights of a row with a label are not known.
+    """
+    from rlbench.benchmark.results import RowName
+    from rlbench.render.presets import PRESETS
+
+    own = rows[rows["method"] == method]
+    presets = [PRESETS.get(name) for name in set(own["preset"])]
+    sources = own.loc[own["metric"] == "sample_ms", "convention"]
+    is_known = not RowName.parse(method).label and sources.str.contains(", measured on ").all()
+    if not is_known or len(presets) != 1 or not presets[0] or 2 * spp > presets[0].pool_spp:
+        return ""
+    return f"rlbench run -m {method} --spp {2 * spp:g} --preset {presets[0].name} --out {results}"
+
+
+def _plugin_words(files: list[Path] | None) -> str:
+    return "".join(f" --plugin {file}" for file in files or ())
 
 
 def _select_by_inputs(

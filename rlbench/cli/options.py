@@ -212,6 +212,17 @@ Cost = Annotated[
         complete=complete_names("profiles"),
     ),
 ]
+GbufferMs = Annotated[
+    float | None,
+    option(
+        MEASUREMENT,
+        "time of your G-buffer, for methods that read one; default: as many samples as in the "
+        "results",
+        "--gbuffer-ms",
+        value="MS",
+        parse=arguments.parse_time,
+    ),
+]
 Repeats = Annotated[
     int,
     option(

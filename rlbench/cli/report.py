@@ -58,6 +58,7 @@ def report(
             value="FOLDERS",
         ),
     ] = None,
+    gbuffer_ms: options.GbufferMs = None,
     as_json: options.Json = False,
 ) -> None:
     """Write reports from the results: tables and plots.
@@ -76,8 +77,11 @@ def report(
       rlbench report zooms --methods ours,ntas --spp 4
       rlbench report real --results results/real --against results,results/unseen
     """
+    from reports.analysis.rows import charge_gbuffer
+
     writers, target = _find_writers(name), out or results / "report"
-    rows, names = read_rows(results, methods), split_names(methods)
+    rows = charge_gbuffer(read_rows(results, methods), gbuffer_ms)
+    names = split_names(methods)
     others = _read_others(name, [Path(each) for each in split_names(against)])
     check_writable(target)
     output = ReportOutput()

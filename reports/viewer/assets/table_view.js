@@ -110,7 +110,7 @@ export function tableView() {
       h(
         "p",
         {},
-        `${metric().metric}: ${metric().convention}. Bars: 95 % interval of the paired difference to the best at its budget; ${data.unreliable_mark} a time is unreliable, measured on a busy machine; † not resolved after Holm's correction for the comparisons of its scene and budget.`,
+        `${metric().metric}: ${metric().convention}. Bars: 95 % interval of the paired difference to the best at its budget; ${data.unreliable_mark} a time is unreliable, measured on a busy machine; † not resolved after Holm's correction for the comparisons of its scene and budget. Frame time: G-buffer + inference + samples.`,
       ),
       h(
         "details",
