@@ -115,10 +115,7 @@ class CellIds:
     def _metrics(self) -> str:
         """Names of the run's metrics, hash of their code and of `SCORING`, and package versions."""
         metrics = registry.load_run_metrics()
-        entries = registry.list_entries("metrics")
-        targets = [entries[name].target.partition(":")[0] for name in metrics]
-        modules = set().union(*map(code_hash.import_closure, targets))
-        hashed = code_hash.code_hash(modules, core=SCORING)
+        hashed = registry.metrics_code_hash(metrics, SCORING)
         packages = sorted({name for metric in metrics.values() for name in metric.requires})
         return f"{list(metrics)} {hashed} {provenance.package_versions(packages)}"
 

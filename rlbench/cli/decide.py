@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from rlbench.cli import options
+from rlbench.cli import answers, options
 from rlbench.cli.arguments import parse_positive, split_names
 from rlbench.cli.json_output import as_json_text
 from rlbench.cli.methods import load_plugins
@@ -19,8 +19,6 @@ from rlbench.registry.near_names import unknown_name
 
 if TYPE_CHECKING:
     import pandas as pd
-
-    from reports.decide import GivenTimes
 
 __all__ = ["decide"]
 
@@ -39,7 +37,7 @@ def decide(
         float | None,
         option(
             MEASUREMENT,
-            "your renderer's time for one sample of every pixel; default: that of --cost",
+            "your renderer's time for one sample of every pixel; default: that in COST",
             value="MS",
             parse=parse_positive,
         ),
@@ -94,26 +92,22 @@ def decide(
       rlbench decide --cost gpu.toml --frame-ms 16.7 --gbuffer-ms 1.5
     """
     load_plugins(plugin)
-    import reports.decide
-    import reports.decision_text
+    from reports.decision_text import decision_text
 
     rows, left_out = read_rows(results, methods, scenes), list[str]()
     if needs is not None:
         rows, left_out = _select_by_inputs(rows, split_names(needs))
-    given = _read_times(cost, rows) if cost else None
-    if sample_ms is None and given is None:
-        raise OptionError("--sample-ms or --cost is needed: what a sample of every pixel costs")
-    decision = reports.decide.decide(
-        rows,
-        sample_ms or (given.sample_ms if given else 0.0),
+    decision = answers.decide(
         frame_ms,
-        metric,
-        device,
-        left_out,
-        allow_unreliable,
-        gbuffer_ms,
-        given,
-        _plugin_words(plugin),
+        sample_ms,
+        rows,
+        gbuffer_ms=gbuffer_ms,
+        cost=cost,
+        metric=metric,
+        device=device,
+        allow_unreliable=allow_unreliable,
+        left_out=left_out,
+        plugins=_plugin_words(plugin),
     )
     if as_json:
         typer.echo(as_json_text(decision))
@@ -121,19 +115,7 @@ def decide(
     best = decision.candidates[0]
     run = _next_run(rows, best.method, best.spp, results)
     next_run = run and run + _plugin_words(plugin)
-    typer.echo(reports.decision_text.decision_text(decision, next_run))
-
-
-def _read_times(cost: str, rows: pd.DataFrame) -> GivenTimes:
-    """The times of a cost profile at its own size, for the rows of the results."""
-    from reports.decide import GivenTimes
-    from rlbench.benchmark.cost import profile
-
-    times = profile(cost)
-    found = {name: times.inference(name, times.height, times.width) for name in set(rows["method"])}
-    inference = {name: each.ms for name, each in found.items() if each}
-    size = f"{times.width}x{times.height}"
-    return GivenTimes(times.device, size, times.source, times.default_ms, inference)
+    typer.echo(decision_text(decision, next_run))
 
 
 def _next_run(rows: pd.DataFrame, method: str, spp: float, results: Path) -> str:

@@ -6,6 +6,8 @@ import json
 
 import pytest
 
+import rlbench as rlbench_package
+
 from rlbench.benchmark.cost import write_profile
 from tests.cli.runner import rlbench
 from tests.conftest import write_noise
@@ -82,3 +84,13 @@ def test_a_cost_profile_gives_the_times_and_the_cost_of_a_sample(folder, tmp_pat
     assert best["sampling_ms"] == pytest.approx(4.0 * best["spp"])
     assert (decision["sample_ms"], decision["image_sizes"]) == (4.0, ["1920x1080"])
     assert "--sample-ms or --cost" in rlbench(*words[:-1], code=2)
+
+
+def test_results_are_an_option_or_a_word_and_python_answers_alike(folder):
+    by_option = rlbench("decide", *COSTS, "--results", folder, "--json")
+    assert rlbench("decide", folder, *COSTS, "--json") == by_option
+    decision = rlbench_package.decide(60_000, 4.2, folder=folder)
+    assert decision.candidates[0].method == json.loads(by_option)["candidates"][0]["method"]
+    gap = rlbench_package.compare("svgf", "mean", folder=folder)
+    assert "svgf against mean" in rlbench("compare", "svgf,mean", folder)
+    assert gap.scenes == ("city", "temple")
