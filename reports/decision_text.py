@@ -13,7 +13,7 @@ from reports.analysis.differences import (
 )
 from reports.analysis.intervals import LEVEL, Interval
 from reports.decide import BreakEven, Candidate, Decision
-from reports.layout.tables import UNRELIABLE_MARK
+from reports.layout.tables import UNRELIABLE_MARK, score_name
 
 LISTED = 8  # methods in the table
 INPUTS = {"sample_ms": "a sample costs", "frame_ms": "the deadline is"}
@@ -145,7 +145,7 @@ def _size(decision: Decision) -> str:
 
 
 def _metric(decision: Decision) -> str:
-    return "PSNR" if decision.metric == "psnr" else decision.metric
+    return score_name(decision.metric)
 
 
 def _number(value: float, decision: Decision, sign: str = "") -> str:

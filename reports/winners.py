@@ -40,6 +40,7 @@ from reports.analysis.rows import family_of
 from reports.analysis.scores import Scores
 from reports.layout import style
 from reports.layout.page import Drawing, describe_clips, write_figures
+from reports.layout.tables import score_name
 from rlbench.benchmark.results import MissingRowsError
 
 if TYPE_CHECKING:
@@ -68,8 +69,8 @@ def write(
 
     Each cell has the denoiser with the best mean score over scenes whose frame time fits the
     deadline; no region is won by raw samples. A cell is hatched where it ties with the runner-up,
-    where their difference is not resolved, or where there is no interval. Raises MissingRowsError if no method has scores
-    and times on every scene.
+    where their difference is not resolved, or where there is no interval. Raises MissingRowsError
+    if no method has scores and times on every scene.
     """
     return write_figures(results, folder, name, _figures, metric)
 
@@ -197,7 +198,7 @@ def _caption(scores: Scores, curves: Sequence[Curve]) -> str:
     at_size = f" at {', '.join(sizes)}" if sizes else ""
     missing = "".join(f"\n{line}." for line in methods_without_curve(scores, curves))
     return (
-        f"Best mean {scores.metric.upper()} over scenes, {describe_clips(scores.measured)}. "
+        f"Best mean {score_name(scores.metric)} over scenes, {describe_clips(scores.measured)}. "
         f"Frame time: G-buffer, as many samples as in the results,\n+ plan + allocate + denoise on "
         f"{scores.device_name}{at_size} + samples per pixel x cost of a sample. "
         "Between measured budgets scores\nare linear in log spp; none is extrapolated." + missing

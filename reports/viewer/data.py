@@ -20,6 +20,7 @@ from reports.analysis.differences import ALL_SCENES, correct_by_holm, rank_metho
 from reports.analysis.intervals import LEVEL
 from reports.analysis.rows import remarks, skip_reasons
 from reports.analysis.scores import Scores, metrics_with_values
+from reports.layout.tables import score_name
 
 KEYS = ["method", "scene", "target_spp"]
 TIMES = ["inference_ms", "frame_ms", "mean_spp", "unreliable"]
@@ -47,6 +48,7 @@ def decision_data(rows: pd.DataFrame, device: str) -> list[dict[str, Any]]:
             described.append(
                 {
                     "metric": metric,
+                    "title": score_name(metric),
                     "unit": scores.column_text("unit"),
                     "convention": scores.convention,
                     "sign": -1 if scores.direction == "lower" else 1,
@@ -115,6 +117,7 @@ def table_data(rows: pd.DataFrame, device: str) -> dict[str, Any]:
         metrics.append(
             {
                 "metric": metric,
+                "title": score_name(metric),
                 "unit": scores.column_text("unit"),
                 "direction": scores.direction,
                 "convention": scores.convention,

@@ -292,7 +292,7 @@ def test_a_metric_in_one_file_is_scored_by_run_and_evaluate(run_mean, tmp_path):
     clips = ("--clips", run_mean[run_mean.index("--clips") + 1], "--out", tmp_path / "e")
     rlbench("evaluate", tmp_path / "r", "--metrics", "worst_pixel", *clips, *words)
     again = table.read(tmp_path / "e").query("metric == 'worst_pixel'")
-    assert sorted(again["value"]) == pytest.approx(sorted(rows["value"]))
+    assert sorted(again["value"]) == pytest.approx(sorted(rows["value"]), rel=1e-3)  # half
     file.write_text(METRIC.replace("amax(1)", "amax(1) * 2"))
     other = python("-m", "rlbench", *map(str, (*run_mean, *words)))
     assert "nothing to do" not in other  # its code decides whether a cell is current

@@ -73,7 +73,7 @@ export function decideView() {
     ),
     select(
       "score",
-      () => device().decide.map((each) => [each.metric, each.metric]),
+      () => device().decide.map((each) => [each.metric, each.title]),
       () => metric().metric,
       (value) => set({ metric: value }),
     ),
@@ -124,7 +124,7 @@ export function decideView() {
     );
     ranking.replaceChildren(tabulate(ranked));
     notes.textContent = [
-      `${metric().metric}: ${metric().convention}.`,
+      `${metric().title}: ${metric().convention}.`,
       ...metric().device_mixes.map((each) => `Two devices: ${each}.`),
       `Frame time: ${gbufferText()} + inference on ${device().name || "an unnamed device"} + drawn samples x cost of a sample (measured: ${short(scope().sample_ms)} ms, ${metric().cost_source || "no source"}).`,
       `Intervals: 95 %, Student's t over ${scope().unit}. Between measured budgets scores are linear in log spp; none is extrapolated.`,
@@ -181,7 +181,7 @@ function describe(ranked) {
 
 function tabulate(ranked) {
   const look = lookOf(ranked);
-  const header = ["", "method", "spp", metric().metric, "to the winner", "frame ms", ""];
+  const header = ["", "method", "spp", metric().title, "to the winner", "frame ms", ""];
   return h(
     "table",
     { class: "ranking" },

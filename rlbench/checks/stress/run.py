@@ -62,9 +62,9 @@ def stress_methods(
     No pattern selects all pretrained rows that have weights of their own or none, no section all
     sections; with patterns, those of the suite run only if they are named.
     `weights` gives a file for those of the selected methods that do not take their shipped one.
-    Returns False if a test failed, or if `all` left out a family that cannot be imported. Raises PluginError for an unknown
-    method, OptionError for an unknown section, and FolderInUseError where another process writes to
-    `out`.
+    Returns False if a test failed, or if `all` left out a family that cannot be imported. Raises
+    PluginError for an unknown method, OptionError for an unknown section, and FolderInUseError
+    where another process writes to `out`.
     """
     broken: list[str] = []
     rows_of = ["all/*" if pattern == "all" else pattern for pattern in patterns or ["all"]]

@@ -111,7 +111,7 @@ def test_a_scene_and_a_score_can_be_chosen(open_page):
     assert screen.state["scope"] == "beta"
     assert "Student's t over clips" in screen.text("main")
     screen.page.get_by_label("score", exact=True).select_option("relmse")
-    assert "relmse" in screen.text(".ranking thead")
+    assert "relMSE" in screen.text(".ranking thead")
 
 
 def test_unreliable_times_are_not_ranked_and_their_points_are_hollow(open_page):
@@ -171,7 +171,7 @@ def test_the_table_is_copied_as_text(open_page, report, copied):
     if copied == "csv":
         records = list(csv.DictReader(io.StringIO(text)))
         assert {each["method"] for each in records} == set(METHODS)
-        assert next(each for each in records if each["method"] == "mean")["psnr [dB]"] == score
+        assert next(each for each in records if each["method"] == "mean")["PSNR [dB]"] == score
     else:
         start = {"markdown": "| mean | 1 | ", "latex": "mean & 1 & "}[copied]
         assert f"\n{start}{score} " in text
