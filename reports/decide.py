@@ -232,7 +232,7 @@ def _candidates(
                 spp=float(spp[index]),
                 value=interval_of(units),
                 frame_ms=frame,
-                gbuffer_ms=(gbuffer := curve.gbuffer_ms_at(sample_ms)),
+                gbuffer_ms=(gbuffer := float(curve.gbuffer_ms_at(np.array(sample_ms)))),
                 inference_ms=frame - gbuffer - sampling,
                 sampling_ms=sampling,
                 is_largest_budget=bool(spp[index] == curve.spp[-1]),
