@@ -36,6 +36,7 @@ from reports.analysis.intervals import (
 from reports.analysis.rows import ReportError, check_comparable, remarks, select_device
 from reports.analysis.scores import Scores
 from reports.decide import check_ranks
+from reports.layout.tables import score_name
 
 KEYS = [*FRAME, "seed", "target_spp"]  # what the two scores of a pair have in common
 MIN_SCENES = 4  # of a probability, and of a mean of the middle half
@@ -198,7 +199,7 @@ def performance_profile(scores: Runs, thresholds: Sequence[float]) -> list[float
 
 def comparison_text(comparison: Comparison) -> str:
     """Lines for people: a sentence for each budget, then how to read it."""
-    metric = "PSNR" if comparison.metric == "psnr" else comparison.metric
+    metric = score_name(comparison.metric)
     head = (
         f"{comparison.first} against {comparison.second}: {metric} ({comparison.convention}; "
         f"{comparison.direction} is better), {_count(len(comparison.scenes), 'scene')}, "

@@ -1,12 +1,12 @@
-"""Which method at which budget gives the least error in a frame time: the answer as data and text.
+"""Which method at which budget gives the least error in a frame time: the answer as data.
 
-The command `rlbench decide` prints it.
+The command `rlbench decide` prints it as `reports.decision_text` words it.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -18,6 +18,7 @@ from reports.analysis.curves import (
     Curve,
     Numbers,
     curves_of,
+    denoisers,
     find_switches,
     find_winners,
     measured_sample_ms,
@@ -25,23 +26,30 @@ from reports.analysis.curves import (
     meeting_deadlines,
     methods_without_curve,
 )
-from reports.analysis.differences import (
-    HOLM_MARK,
-    LEADS,
-    TRAILS,
-    VERDICT_NOTE,
-    describe_difference,
-    holm,
-    name_verdict,
+from reports.analysis.differences import holm, name_verdict
+from reports.analysis.intervals import UNKNOWN, Interval, interval_of
+from reports.analysis.rows import (
+    ReportError,
+    charge_gbuffer,
+    check_comparable,
+    remarks,
+    select_device,
+    without_label,
 )
-from reports.analysis.intervals import LEVEL, UNKNOWN, Interval, interval_of
-from reports.analysis.rows import ReportError, check_comparable, remarks, select_device
 from reports.analysis.scores import INFERENCE, Scores
-from reports.layout.tables import UNRELIABLE_MARK
 
-LISTED = 8  # methods in the table of the text
-INPUTS = {"sample_ms": "a sample costs", "frame_ms": "the deadline is"}
-NEAR = 1.2  # factor between two costs of a sample that may be of one device and size
+NAMED = 6  # methods in a suggested command; more are all
+
+
+@dataclass(frozen=True)
+class GivenTimes:
+    """Times of a cost profile: of methods, at one size, and of a sample."""
+
+    device: str
+    size: str  # WIDTHxHEIGHT
+    source: str
+    sample_ms: float
+    inference_ms: Mapping[str, float]  # by row of the results
 
 
 @dataclass(frozen=True)
@@ -51,7 +59,8 @@ class Candidate:
     method: str
     spp: float
     value: Interval  # expected score, over scenes
-    frame_ms: float  # inference_ms + sampling_ms
+    frame_ms: float  # gbuffer_ms + inference_ms + sampling_ms
+    gbuffer_ms: float  # 0 for a method that reads none
     inference_ms: float  # plan + allocate + denoise, mean of the middle half
     sampling_ms: float
     is_largest_budget: bool  # more time would buy nothing that was measured
@@ -82,9 +91,11 @@ class Decision:
     convention: str
     direction: str
     candidates: tuple[Candidate, ...]
+    undenoised: Candidate | None  # the best image without a denoiser, which cannot win
     changes: tuple[BreakEven, ...]
     scenes: tuple[str, ...]
     inference_device: str
+    device_mixes: tuple[str, ...]  # where samples were timed on another device than inference
     image_sizes: tuple[str, ...]  # WIDTHxHEIGHT that inference was measured at
     measured_sample_ms: float  # cost of a sample in the results, which the answer does not use
     measured_sample_source: str
@@ -99,21 +110,35 @@ def decide(
     device: str = "",
     left_out: Sequence[str] = (),
     allow_unreliable: bool = False,
+    gbuffer_ms: float | None = None,
+    given: GivenTimes | None = None,
+    plugins: str = "",
 ) -> Decision:
-    """The method with the best expected score among those that fit `frame_ms`, and its rivals.
+    """The denoiser with the best expected score among those that fit `frame_ms`, and its rivals.
 
-    `sample_ms` is the time of one path sample for each pixel; the time of a frame is plan +
-    allocate + denoise (from the results) + samples x `sample_ms`, mean over scenes. `device` names
+    `sample_ms` is the time of one path sample for each pixel; the time of a frame is G-buffer +
+    plan + allocate + denoise (from the results, or `given`) + samples x `sample_ms`, mean over
+    scenes. The G-buffer takes as many samples as in the results, or `gbuffer_ms`. `device` names
     the device whose times are used, where the results have several. `left_out` are sentences about
-    rows that were not considered. Budgets with unreliable times are left out, or marked with
-    `allow_unreliable`. Raises ReportError if no method fits or has times, if all times are
-    unreliable, or if rows cannot be compared.
+    rows that were not considered; `plugins` are options that suggested commands need. Budgets with
+    unreliable times are left out, or marked with `allow_unreliable`. Raises ReportError if no
+    method fits or has times, if all times are unreliable, or if rows cannot be compared.
     """
-    rows, device = select_device(results, device)
+    rows, device = select_device(charge_gbuffer(results, gbuffer_ms), device)
     check_comparable(rows)
     scores = Scores(rows, metric, device)
     check_ranks(scores)
-    curves = curves_of(scores, allow_unreliable)
+    curves = curves_of(scores, allow_unreliable or given is not None)
+    if given:
+        times = given.inference_ms
+        unknown = [curve.method for curve in curves if curve.method not in times]
+        left_out = [*left_out, *(f"{name} has no time in the cost profile" for name in unknown)]
+        curves = [_charged(curve, times[curve.method]) for curve in curves if curve.method in times]
+        if not curves:
+            raise ReportError(
+                f"the cost profile has times of {', '.join(times) or 'no method'}, and the results "
+                f"have {', '.join(unknown)}; time these with rlbench speed --as-cost"
+            )
     if not curves and curves_of(scores):
         raise ReportError(
             f"all times are unreliable: {scores.unreliable_times[0]}. Measure them again on a "
@@ -124,34 +149,49 @@ def decide(
             f"no method has {metric} and times on every scene; found: "
             f"{'; '.join(methods_without_curve(scores, []))}. Measure with rlbench run"
         )
+    source = given.device if given else _timed_on(rows) or device
     doubted = set(scores.points["method"][scores.points["unreliable"]])
-    ranked = _candidates(curves, sample_ms, frame_ms, scores.column_text("unit"))
-    if allow_unreliable:
+    competing, unit = denoisers(curves), scores.column_text("unit")
+    ranked = _candidates(competing, sample_ms, frame_ms, unit)
+    others = [curve for curve in curves if curve not in competing]
+    undenoised = next(iter(_candidates(others, sample_ms, frame_ms, unit)), None)
+    if allow_unreliable and not given:
         ranked = tuple(replace(c, is_unreliable=c.method in doubted) for c in ranked)
-    if not ranked:
-        raise _nothing_fits(curves, sample_ms, frame_ms)
     timed = rows[rows["metric"].isin(INFERENCE) & rows["method"].isin([c.method for c in curves])]
+    sizes = (given.size,) if given else tuple(sorted(set(timed["size"]) - {""}))
+    if not ranked:
+        where = f"{source or 'an unnamed device'} at {', '.join(sizes) or 'an unnamed size'}"
+        raise _nothing_fits(competing, sample_ms, frame_ms, where, undenoised, unit, plugins)
     return Decision(
         sample_ms=sample_ms,
         frame_ms=frame_ms,
         metric=metric,
-        unit=scores.column_text("unit"),
+        unit=unit,
         convention=scores.convention,
         direction=scores.direction,
         candidates=ranked,
-        changes=tuple(_break_evens(curves, sample_ms, frame_ms)),
+        undenoised=undenoised,
+        changes=tuple(_break_evens(competing, sample_ms, frame_ms)),
         scenes=tuple(sorted(set(scores.scene_means["scene"]))),
-        inference_device=device,
-        image_sizes=tuple(sorted(set(timed["size"]) - {""})),
-        measured_sample_ms=measured_sample_ms(scores),
-        measured_sample_source=scores.cost_source,
+        inference_device=source,
+        device_mixes=() if given else tuple(scores.device_mixes),
+        image_sizes=sizes,
+        measured_sample_ms=given.sample_ms if given else measured_sample_ms(scores),
+        measured_sample_source=given.source if given else scores.cost_source,
         notes=(
             *left_out,
             *methods_without_curve(scores, curves),
-            *(f"unreliable: {line}" for line in scores.unreliable_times),
-            *remarks(timed),
+            *(f"unreliable: {line}" for line in scores.unreliable_times if not given),
+            *([] if given else remarks(timed)),
         ),
     )
+
+
+def _timed_on(rows: pd.DataFrame) -> str:
+    """The devices that inference is of, which a cost profile may name; empty if not stated."""
+    conventions = rows.loc[rows["metric"] == "frame_ms", "convention"]
+    found = conventions.str.extract(r"inference on (.*?); samples", expand=False).dropna()
+    return "; ".join(sorted(set(found)))
 
 
 def check_ranks(scores: Scores) -> None:
@@ -165,10 +205,17 @@ def check_ranks(scores: Scores) -> None:
         )
 
 
+def _charged(curve: Curve, inference_ms: float) -> Curve:
+    times = np.full_like(curve.fixed_ms, inference_ms)
+    return replace(curve, fixed_ms=times, late_ms=times)
+
+
 def _candidates(
     curves: Sequence[Curve], sample_ms: float, frame_ms: float, unit: str
 ) -> tuple[Candidate, ...]:
     """Every method that fits the deadline, the best first; empty if none does."""
+    if not curves:
+        return ()
     winners = find_winners(curves, np.array([sample_ms]), np.array([frame_ms]))
     spp = winners.spp[:, 0]
     ranked = [int(index) for index in winners.order[:, 0] if not math.isnan(spp[index])]
@@ -185,7 +232,8 @@ def _candidates(
                 spp=float(spp[index]),
                 value=interval_of(units),
                 frame_ms=frame,
-                inference_ms=frame - sampling,
+                gbuffer_ms=(gbuffer := float(curve.gbuffer_ms_at(np.array(sample_ms)))),
+                inference_ms=frame - gbuffer - sampling,
                 sampling_ms=sampling,
                 is_largest_budget=bool(spp[index] == curve.spp[-1]),
                 is_unreliable=False,
@@ -223,145 +271,31 @@ def _break_evens(curves: Sequence[Curve], sample_ms: float, frame_ms: float) -> 
             yield BreakEven(changed, direction, found.at, method)
 
 
-def _nothing_fits(curves: Sequence[Curve], sample_ms: float, frame_ms: float) -> ReportError:
+def _nothing_fits(
+    curves: Sequence[Curve],
+    sample_ms: float,
+    frame_ms: float,
+    where: str,
+    undenoised: Candidate | None,
+    unit: str,
+    plugins: str,
+) -> ReportError:
+    """What did not fit, what the times are of, and how to get times of another device."""
     needed, method, spp = min(
         (float(time), curve.method, float(spp))
         for curve in curves
         for spp, time in zip(curve.spp, curve.frame_ms(sample_ms), strict=True)
     )
+    raw = ""
+    if undenoised:
+        score = f"{undenoised.value.mean:.4g} {unit}".rstrip()
+        raw = f" Without a denoiser, {undenoised.method} at {undenoised.spp:.3g} spp has {score}."
+    names = sorted({without_label(curve.method) for curve in curves})
+    named = "all" if len(names) > NAMED else ",".join(names)
     return ReportError(
-        f"no method fits {frame_ms:g} ms at {sample_ms:g} ms a sample; the cheapest, {method} at "
-        f"{spp:g} spp, needs {needed:.3g} ms. Raise --frame-ms, "
-        "or measure smaller budgets or smaller images: rlbench run --spp 0.25"
+        f"no denoiser that was timed here fits {frame_ms:g} ms at {sample_ms:g} ms a sample; these "
+        f"are times of {where}. The cheapest, {method} at {spp:g} spp, needs {needed:.3g} ms."
+        f"{raw} For times of your device and size, run there: rlbench speed -m {named}{plugins} "
+        f"--device cuda --sizes 1080p --as-cost gpu.toml --sample-ms {sample_ms:g}; then decide "
+        f"with --cost gpu.toml. Or raise --frame-ms"
     )
-
-
-def decision_text(decision: Decision, sample_device: str = "") -> str:
-    """Lines for people: the answer, how sure it is, what would change it, its limits.
-
-    `sample_device` is the device of `decision.sample_ms`, if it is known.
-    """
-    return "\n".join(
-        [
-            *_answer(decision),
-            "",
-            *_aligned(list(_table(decision))),
-            "",
-            "What would change the answer:",
-            *(f"  {_change(change, decision)}" for change in decision.changes),
-            "",
-            *_basis(decision, sample_device),
-        ]
-    )
-
-
-def _answer(decision: Decision) -> Iterator[str]:
-    best, *others = decision.candidates
-    yield (
-        f"{best.method} at {best.spp:.3g} spp: {_metric(decision)} "
-        f"{_number(best.value.mean, decision)} {decision.unit}".rstrip()
-        + f" {_ends(best.value, decision)} over "
-        f"{len(decision.scenes)} scene{'s' * (len(decision.scenes) != 1)}, in {best.frame_ms:.3g} "
-        f"of {decision.frame_ms:g} ms{_doubt(best)} ({best.inference_ms:.3g} inference + "
-        f"{best.sampling_ms:.3g} sampling)."
-    )
-    if best.is_largest_budget:
-        yield (
-            f"{best.spp:g} spp is its largest measured budget: more may fit. "
-            f"Measure it: rlbench run -m {best.method} --spp {2 * best.spp:g}"
-        )
-    if not others:
-        yield "No other method fits."
-        return
-    gap = describe_difference(others[0].difference, decision.unit, decision.direction)
-    mark = _mark(others[0])
-    yield f"Runner-up: {others[0].method} at {others[0].spp:.3g} spp: {gap}{mark}."
-
-
-def _table(decision: Decision) -> Iterator[tuple[str, ...]]:
-    unit = f" [{decision.unit}]" * bool(decision.unit)
-    yield ("method", "spp", "frame ms", _metric(decision) + unit, "difference", "")
-    for row in decision.candidates[:LISTED]:
-        gap = row.difference
-        difference = f"{_number(gap.mean, decision, '+')} {_ends(gap, decision, '+')}".strip()
-        yield (
-            row.method,
-            f"{row.spp:.3g}",
-            f"{row.frame_ms:.3g}{_doubt(row)}",
-            _number(row.value.mean, decision),
-            "" if row is decision.candidates[0] else difference,
-            row.verdict + _mark(row),
-        )
-
-
-def _doubt(row: Candidate) -> str:
-    """The mark of a time that the clock rejects."""
-    return UNRELIABLE_MARK * row.is_unreliable
-
-
-def _mark(row: Candidate) -> str:
-    """The mark of a lead that Holm's correction takes away."""
-    return HOLM_MARK * (row.verdict in (LEADS, TRAILS) and row.p_holm > 1 - LEVEL)
-
-
-def _change(change: BreakEven, decision: Decision) -> str:
-    bound = "below" if change.direction == "lower" else "above"
-    noun = "cost of a sample" if change.changed == "sample_ms" else "deadline"
-    if change.at_ms is None:
-        name = decision.candidates[0].method
-        return f"{name} wins at any {change.direction} {noun}, up to its measured budgets"
-    outcome = f"{change.method} wins" if change.method else "no method fits"
-    return f"{outcome} where {INPUTS[change.changed]} {bound} {change.at_ms:.3g} ms"
-
-
-def _basis(decision: Decision, sample_device: str) -> Iterator[str]:
-    size = ", ".join(decision.image_sizes) or "an image size that these results do not state"
-    device = decision.inference_device or "an unnamed device"
-    yield (
-        f"Inference (plan + allocate + denoise) was measured on {device}, at {size}; "
-        "it is not scaled to another device or size."
-    )
-    ratio = decision.measured_sample_ms / decision.sample_ms
-    if sample_device and sample_device != device:
-        yield (
-            f"Warning: a sample costs {decision.sample_ms:g} ms on {sample_device}, another device "
-            "than that of inference. Measure both on one: rlbench run, there"
-        )
-    elif not sample_device and (ratio > NEAR or ratio < 1 / NEAR):
-        yield (
-            f"Warning: these results charge {decision.measured_sample_ms:.3g} ms for a sample "
-            f"({decision.measured_sample_source}), so {decision.sample_ms:g} ms is probably of "
-            "another device or size than inference. Measure both on one: rlbench run, there"
-        )
-    yield (
-        f"{_metric(decision)}: {decision.convention}; between measured budgets linear in log spp. "
-        f"Differences are paired by scene. {VERDICT_NOTE} It is for all "
-        "methods that fit."
-    )
-    yield from decision.notes
-
-
-def _metric(decision: Decision) -> str:
-    return "PSNR" if decision.metric == "psnr" else decision.metric
-
-
-def _number(value: float, decision: Decision, sign: str = "") -> str:
-    return f"{value:{sign}{'.2f' if decision.unit == 'dB' else '.3g'}}"
-
-
-def _ends(interval: Interval, decision: Decision, sign: str = "") -> str:
-    if not interval.is_known:
-        return ""
-    low, high = (_number(end, decision, sign) for end in (interval.low, interval.high))
-    return f"[{low}, {high}]"
-
-
-def _aligned(lines: list[tuple[str, ...]]) -> list[str]:
-    widths = [max(map(len, column)) for column in zip(*lines, strict=True)]
-    sides = "<>>><<"
-    return [
-        "  ".join(
-            f"{cell:{side}{width}}" for cell, side, width in zip(line, sides, widths, strict=True)
-        ).rstrip()
-        for line in lines
-    ]

@@ -15,6 +15,7 @@ from matplotlib.ticker import MaxNLocator
 
 from reports.analysis.images import (
     Floats,
+    best_first,
     first_of_scenes,
     select_images,
     squared_error,
@@ -72,19 +73,24 @@ def write(
 ) -> list[Path]:
     """Write `name`.png, .pdf, .svg and a .csv of the distributions; the first clip of four scenes.
 
-    Of the first two `methods`, without them of ours and ours/A1. Raises MissingRowsError where
-    fewer than two methods have images.
+    Of the first two `methods`, without them of ours and ours/A1, or of the two best. Raises
+    MissingRowsError where fewer than two methods have images.
     """
-    parts = [find_difference(clip, methods) for clip in first_of_scenes(clips, MAX_SCENES)]
+    usual = (*USUAL, *best_first(results))
+    if not {*USUAL} <= set(results["method"]):
+        usual = tuple(best_first(results))  # the winner and the runner-up
+    parts = [find_difference(clip, methods, usual) for clip in first_of_scenes(clips, MAX_SCENES)]
     large = large_difference(parts)
     table = pd.DataFrame([_describe(part, large) for part in parts])
     clips_text = describe_clips(results)
     return write_figure(lambda: draw_differences(parts, clips_text), folder, name, table)
 
 
-def find_difference(clip: ShownClip, methods: Sequence[str] = ()) -> Difference:
+def find_difference(
+    clip: ShownClip, methods: Sequence[str] = (), usual: Sequence[str] = USUAL
+) -> Difference:
     """Squared error of the first row minus that of the second, in sRGB, mean over channels."""
-    rows = select_images(clip, methods, USUAL, 2, 2)
+    rows = select_images(clip, methods, usual, 2, 2)
     length = min(len(row.frames) for row in rows)
     reference = clip.reference[:length]
     first, second = (squared_error(row.frames[:length], reference) for row in rows)

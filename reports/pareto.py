@@ -16,7 +16,7 @@ import pandas as pd
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
-from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
+from matplotlib.ticker import FuncFormatter, LogLocator, MaxNLocator, NullFormatter
 
 from reports.analysis.rows import ReportError
 from reports.analysis.scores import Scores
@@ -24,6 +24,7 @@ from reports.layout import style
 from reports.layout.curve_labels import LABEL_DISTANCE, label_curves, label_width, longest_rise
 from reports.layout.page import Drawing, describe_clips, write_figures
 from reports.layout.style import LineStyle
+from reports.layout.tables import score_name
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -35,7 +36,8 @@ MAX_PANELS = 8  # with more scenes, only their mean is drawn
 WIDTH, HEIGHT = 13.0, 5.4  # inches; keys and caption come on top; many names need more height
 LEADER, GAP = 0.4, 0.75  # inches: from the first panel to names beside it, from these to an axis
 OVERALL = "mean of all scenes"
-HEADING_LETTERS = 150  # in a line
+HEADING_LETTERS, CAPTION_LETTERS = 150, 155  # in a line
+FEW_TICKS = 5  # on an axis that spans less than this factor
 Range = tuple[float, float]
 DOMINATED, DOMINATED_COLOUR = "slower and worse than another", "#EFEFEF"
 
@@ -106,7 +108,7 @@ def pareto_front(times: pd.Series, values: pd.Series, direction: str) -> list[in
 def figure_labels(scores: Scores) -> Labels:
     """Axis label and caption of one device's figure."""
     metric, unit = scores.metric, scores.column_text("unit")
-    title = metric.upper().replace("_", "-") if metric in ("psnr", "ms_ssim") else metric
+    title = score_name(metric)
     caption = (
         f"{title}: {scores.convention}; {describe_clips(scores.measured)}. "
         f"Frame time: plan + allocate + denoise on {scores.device_name}\n+ G-buffer + drawn "
@@ -169,7 +171,9 @@ def draw_pareto(plotted: pd.DataFrame, labels: Labels) -> Figure:
     scenes = [*names & {OVERALL}, *single] if len(scenes) > 1 else scenes
     styles = style.line_styles(plotted["method"])
     height = max(HEIGHT, LABEL_DISTANCE * 1.3 * len(styles))
-    footer = 1.5 + 0.17 * (labels.caption.count("\n") - 1)  # inches for keys and caption
+    lines = [fill(line, CAPTION_LETTERS) for line in labels.caption.splitlines()]
+    caption = "\n".join(lines)
+    footer = 1.62 + 0.17 * (caption.count("\n") - 1)  # inches for keys and caption
     figure = Figure(figsize=(WIDTH, height + footer))
     heading = fill(labels.heading, HEADING_LETTERS)
     top = 0.95 - 0.035 * len(heading.splitlines())
@@ -191,13 +195,15 @@ def draw_pareto(plotted: pd.DataFrame, labels: Labels) -> Figure:
             _shade_dominated(axes, front, labels.direction)
         ends = _draw_curves(axes, parts[scene], styles, sizes)
         if scene == scenes[0]:
-            label_curves(axes, ends, styles, height, number)
+            left = axes.get_xlim()[0]  # of a curve beyond it, the line to its name begins there
+            inside = [(name, max(x, left), y) for name, x, y in ends]
+            label_curves(axes, inside, styles, height, number)
         axes.set_title(scene, loc="left", fontweight="bold" if scene == OVERALL else "normal")
     better = f"  ({labels.direction} is better)" if labels.direction else ""
     panels[scenes[0]].set_ylabel(labels.score + better)
     has_unreliable = bool(plotted["unreliable"].any())
     _add_keys(figure, sizes, has_unreliable, (footer - 0.58) / (height + footer))
-    figure.text(0.012, 0.014, labels.caption, fontsize=10.5, color=style.BLACK, va="bottom")
+    figure.text(0.012, 0.014, caption, fontsize=10.5, color=style.BLACK, va="bottom")
     return figure
 
 
@@ -242,7 +248,11 @@ def _set_scales(axes: Axes, window: tuple[Range, Range], is_log: bool, direction
     (low, high), (left, right) = window
     if is_log and left > 0:
         axes.set_xscale("log")
-        axes.xaxis.set_major_locator(LogLocator(subs=(1, 2, 5), numticks=20))
+        is_short = right / left < FEW_TICKS
+        rounded = MaxNLocator(FEW_TICKS - 1, steps=(1, 2, 5, 10))
+        axes.xaxis.set_major_locator(
+            rounded if is_short else LogLocator(subs=(1, 2, 5), numticks=20)
+        )
         axes.xaxis.set_major_formatter(FuncFormatter(lambda ms, _: f"{ms:g}"))
         axes.xaxis.set_minor_formatter(NullFormatter())
         axes.set_xlim(left / (right / left) ** 0.06, right * (right / left) ** 0.06)

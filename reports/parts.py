@@ -119,7 +119,7 @@ def _time_tables(scores: Scores, records: pd.DataFrame) -> tuple[Table, Table]:
     gap_table = _gap_table(
         "Equal time",
         f"Each row minus {BASE}, PSNR in dB: the row at its best budget that fits the frame time, "
-        f"without the G-buffer, of {BASE} at the budget above ({columns}), between the measured "
+        f"of {BASE} at the budget above ({columns}), between the measured "
         f"ones. Inference on {scores.device_name}; cost of a sample: "
         f"{scores.cost_source or 'not named'}.",
         records,

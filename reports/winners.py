@@ -29,6 +29,7 @@ from reports.analysis.curves import (
     Numbers,
     Winners,
     curves_of,
+    denoisers,
     find_winners,
     measured_sample_ms,
     methods_without_curve,
@@ -39,6 +40,7 @@ from reports.analysis.rows import family_of
 from reports.analysis.scores import Scores
 from reports.layout import style
 from reports.layout.page import Drawing, describe_clips, write_figures
+from reports.layout.tables import score_name
 from rlbench.benchmark.results import MissingRowsError
 
 if TYPE_CHECKING:
@@ -65,16 +67,17 @@ def write(
 ) -> list[Path]:
     """Write the map and a CSV of its cells, see `write_figures`.
 
-    Each cell has the method with the best mean score over scenes whose frame time fits the
-    deadline. A cell is hatched where it ties with the runner-up, where their difference is not
-    resolved, or where there is no interval. Raises MissingRowsError if no method has scores
-    and times on every scene.
+    Each cell has the denoiser with the best mean score over scenes whose frame time fits the
+    deadline; no region is won by raw samples. A cell is hatched where it ties with the runner-up,
+    where their difference is not resolved, or where there is no interval. Raises MissingRowsError
+    if no method has scores and times on every scene.
     """
     return write_figures(results, folder, name, _figures, metric)
 
 
 def _figures(scores: Scores) -> dict[str, Drawing]:
-    curves = curves_of(scores, allow_unreliable=False)
+    known = curves_of(scores, allow_unreliable=False)
+    curves = denoisers(known)
     if not curves or not scores.direction:
         raise MissingRowsError(
             f"a map of winners needs {scores.metric} and times of a method on every scene; found: "
@@ -82,8 +85,10 @@ def _figures(scores: Scores) -> dict[str, Drawing]:
         )
     margin = TIE_DB if scores.column_text("unit") == "dB" else 0.0
     winners = replace(map_winners(curves), tie_margin=margin)
-    caption, cost = _caption(scores, curves), measured_sample_ms(scores)
-    return {"": (partial(draw_winner_map, winners, caption, cost), winners.table(CSV_STEP))}
+    caption, cost = _caption(scores, known), measured_sample_ms(scores)
+    heading = "; ".join(f"Two devices: {devices}" for devices in scores.device_mixes)
+    drawing = partial(draw_winner_map, winners, caption, cost, heading)
+    return {"": (drawing, winners.table(CSV_STEP))}
 
 
 @dataclass(frozen=True, eq=False)
@@ -193,10 +198,10 @@ def _caption(scores: Scores, curves: Sequence[Curve]) -> str:
     at_size = f" at {', '.join(sizes)}" if sizes else ""
     missing = "".join(f"\n{line}." for line in methods_without_curve(scores, curves))
     return (
-        f"Best mean {scores.metric.upper()} over scenes, {describe_clips(scores.measured)}. "
-        "Frame time without the G-buffer: plan + allocate + denoise on "
-        f"{scores.device_name}{at_size}\n+ samples per pixel x cost of a sample. "
-        "Between measured budgets scores are linear in log spp; none is extrapolated." + missing
+        f"Best mean {score_name(scores.metric)} over scenes, {describe_clips(scores.measured)}. "
+        f"Frame time: G-buffer, as many samples as in the results,\n+ plan + allocate + denoise on "
+        f"{scores.device_name}{at_size} + samples per pixel x cost of a sample. "
+        "Between measured budgets scores\nare linear in log spp; none is extrapolated." + missing
     )
 
 
@@ -218,10 +223,13 @@ def method_colours(
     return colours
 
 
-def draw_winner_map(winners: WinnerMap, caption: str, measured_ms: float) -> Figure:
+def draw_winner_map(
+    winners: WinnerMap, caption: str, measured_ms: float, heading: str = ""
+) -> Figure:
     """The figure: regions with their method's colour and name, a key at the right, a caption.
 
-    `measured_ms` is the cost of a sample in the results, marked at the vertical axis.
+    `measured_ms` is the cost of a sample in the results, marked at the vertical axis; `heading`
+    says on top what must be known first.
     """
     visible = [winners.methods[i] for i in np.unique(winners.winner) if i >= 0]
     colours = method_colours(winners.methods, visible)
@@ -240,6 +248,7 @@ def draw_winner_map(winners: WinnerMap, caption: str, measured_ms: float) -> Fig
         handles=_handles(colours), loc="upper left", bbox_to_anchor=(right + 0.012, 0.935),
         frameon=False, fontsize=11, borderaxespad=0, handlelength=1.6, labelspacing=0.6,
     )  # fmt: skip
+    figure.text(0.012, 0.985, heading, fontsize=11, color=style.BLACK, va="top")
     figure.text(0.012, 0.016, caption, fontsize=9.5, color=style.BLACK, va="bottom")
     return figure
 
@@ -314,7 +323,7 @@ def _label_regions(axes: Axes, winners: WinnerMap, colours: dict[str, Any]) -> N
     box = axes.get_position()
     rows, columns = winners.winner.shape
     cell = (HEIGHT * box.height / rows, WIDTH * box.width / columns)  # inches
-    names = {-1: "no method fits"} | dict(enumerate(winners.methods))
+    names = {-1: "no denoiser fits"} | dict(enumerate(winners.methods))
     for index in np.unique(winners.winner):
         inside, name = winners.winner == index, names[index]
         ratio = 4 / max(len(name), 4)  # a name needs more room along its line

@@ -20,6 +20,7 @@ from numpy.lib.stride_tricks import sliding_window_view
 
 from reports.analysis.images import (
     Floats,
+    best_first,
     decibels,
     first_of_scenes,
     select_images,
@@ -33,9 +34,10 @@ if TYPE_CHECKING:
     from rlbench.benchmark.shown_clips import ShownClip
 
 USUAL = ("ours", "ntas")  # as in the paper's figure
-MIN_ROWS, MAX_ROWS, MAX_SCENES = 2, 5, 4
+MIN_ROWS, USUAL_ROWS, MAX_ROWS, MAX_SCENES = 2, 5, 8, 4
 RULES = ("largest difference", "median difference")
-WIDTH, CAPTION = 13.0, 0.62  # inches
+WIDTH, CAPTION, GAP = 13.0, 0.62, 0.06  # inches; GAP between crops
+LETTER = 0.68  # width of a bold letter, in its size
 SHARE = 0.2  # side of a crop, as a share of the shorter side of the frame
 STEPS = 4  # positions of crops within the side of one
 CROP_COLOURS = ("#E69F00", "#56B4E9")  # Okabe and Ito 2008; both are seen on dark and bright
@@ -50,10 +52,12 @@ def write(
 ) -> list[Path]:
     """Write `name`.png, .pdf, .svg and a .csv of crops and PSNR; the first clip of four scenes.
 
-    `methods` are shown in their order; the crops are chosen by the first two. Without methods, ours
-    and ntas come first. Raises MissingRowsError where fewer than two methods have images.
+    Up to MAX_ROWS `methods` are shown in their order; the crops are chosen by the first two.
+    Without methods, ours and ntas come first, then the best. Raises MissingRowsError where fewer
+    than two methods have images.
     """
-    zooms = [find_zoom(clip, methods) for clip in first_of_scenes(clips, MAX_SCENES)]
+    usual = (*USUAL, *best_first(results))
+    zooms = [find_zoom(clip, methods, usual) for clip in first_of_scenes(clips, MAX_SCENES)]
     table = pd.DataFrame([row for zoom in zooms for row in _records(zoom)])
     return write_figure(lambda: draw_zooms(zooms, describe_clips(results)), folder, name, table)
 
@@ -123,9 +127,9 @@ class Zoom:
         return decibels(float(error[crop.slices if crop else ...].mean()))
 
 
-def find_zoom(clip: ShownClip, methods: Sequence[str] = ()) -> Zoom:
+def find_zoom(clip: ShownClip, methods: Sequence[str] = (), usual: Sequence[str] = USUAL) -> Zoom:
     """The frame and the crops of a clip in which its first two rows differ."""
-    rows = select_images(clip, methods, USUAL, MIN_ROWS, MAX_ROWS)
+    rows = select_images(clip, methods, usual, MIN_ROWS, MAX_ROWS if methods else USUAL_ROWS)
     length = min(len(row.frames) for row in rows[:2])
     first, second = (
         squared_error(row.frames[:length], clip.reference[:length]) for row in rows[:2]
@@ -140,12 +144,12 @@ def find_zoom(clip: ShownClip, methods: Sequence[str] = ()) -> Zoom:
 def draw_zooms(zooms: Sequence[Zoom], clips: str) -> Figure:
     """The figure: for each clip its frame at the left, and its crops in two rows at the right."""
     columns = 1 + max(len(zoom.images) for zoom in zooms)
-    side = WIDTH / (columns + 2.35)  # inches, of a crop
-    block = 2 * side + 0.72
+    side = (WIDTH - 0.55 - GAP * columns) / (columns + 2)  # inches, of a crop
+    block = 2 * side + 0.92
     height = block * len(zooms) + CAPTION
     figure = Figure(figsize=(WIDTH, height))
     for index, zoom in enumerate(zooms):
-        top = height - 0.42 - block * index
+        top = height - 0.62 - block * index
         h, w = zoom.reference.shape[1:]
         frame_side = 2 * side + 0.22
         fit = min(1.0, w / h)  # as large as the two crops
@@ -177,15 +181,16 @@ def _draw_crops(
     left, bottom, side = place
     rows, columns = crop.slices
     for index, method in enumerate([None, *zoom.images]):
-        axes = figure.add_axes(_box(figure, left + index * (side + 0.06), bottom, side, side))
+        axes = figure.add_axes(_box(figure, left + index * (side + GAP), bottom, side, side))
         image = zoom.images[method] if method else zoom.reference
         draw_picture(axes, image[:, rows, columns])
         for spine in axes.spines.values():
             spine.set(visible=True, edgecolor=CROP_COLOURS[row], linewidth=2.2)
         if row == 0:
-            text = f"{method}  {zoom.psnr(method):.2f} dB" if method else "reference"
-            axes.text(0.5, 1.11, text, transform=axes.transAxes, ha="center", fontsize=11,
-                      fontweight="bold")  # fmt: skip
+            text = f"{method}\n{zoom.psnr(method):.2f} dB" if method else "reference"
+            size = min(11.0, 72 * side / (LETTER * len(method or text)))  # a long name fits too
+            axes.text(0.5, 1 + 0.2 / side, text, transform=axes.transAxes, ha="center",
+                      fontsize=size, fontweight="bold")  # fmt: skip
         text = f"{zoom.psnr(method, crop):.2f} dB" if method else RULES[row]
         axes.set_title(text, fontsize=10, pad=3)
 

@@ -161,7 +161,9 @@ class Samples:
     """The samples drawn for a frame, one by one.
 
     Slots 0 to count-1 of a pixel hold its samples; the others are zero. Samples that the budget did
-    not pay for are not in the object. The number of slots s differs between pools.
+    not pay for are not in the object. The number of slots s differs between pools. `counts` says
+    how many samples each pixel has: an adaptive method's differ, and their mean is the budget. A
+    pixel with 0 has a `mean` of zero, and is not black for that.
 
     >>> radiance = torch.tensor([3.0, 5.0]).view(1, 2, 1, 1, 1).expand(1, 2, 3, 1, 1)
     >>> samples = Samples(radiance, counts=torch.full((1, 1, 1, 1), 2))

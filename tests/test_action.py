@@ -23,7 +23,14 @@ SHELL_STEPS = {step["name"]: step for step in STEPS if "run" in step}
 HOW_TO = (ROOT / "docs" / "how-to" / "regress-in-ci.md").read_text()
 (WORKFLOW,) = re.findall(r"```yaml\n(.*?)```", HOW_TO, re.DOTALL)
 EXPRESSION = re.compile(r"\$\{\{ *([\w.()!-]+) *\}\}")
-RUNNER = ("runner.os", "runner.arch", "runner.temp", "github.action_path", "!cancelled()")
+RUNNER = (
+    "runner.os",
+    "runner.arch",
+    "runner.temp",
+    "github.action_path",
+    "github.action_ref",
+    "!cancelled()",
+)
 
 
 @pytest.mark.parametrize("schema", ["github-actions", "github-workflows"])

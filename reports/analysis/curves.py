@@ -14,10 +14,12 @@ import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
+from reports.analysis.rows import GIVEN_GBUFFER, family_of
 from reports.analysis.scores import INFERENCE, Scores, mean_over_scenes
 
 Numbers = NDArray[np.float64]
 TINY = 1e-9  # stands for a budget of 0 spp, whose logarithm would be infinite
+UNDENOISED = ("mean", "restir")  # families whose images are what was sampled
 NOTHING = -1  # in place of a method where none fits
 STEPS = 8  # places that are examined between two meeting points
 BISECTIONS = 60  # more than a double has bits
@@ -31,9 +33,11 @@ class Curve:
     spp: Numbers  # [budgets], ascending
     units: Numbers  # [budgets units], score of each scene, or of each clip of the only scene
     fixed_ms: Numbers  # [budgets], plan + allocate + denoise, mean over scenes
-    samples: Numbers  # [budgets], cost of the drawn samples of a pixel, in path samples
+    samples: Numbers  # [budgets], time of the drawn samples of a pixel, in path samples
     late_ms: Numbers  # [budgets], as fixed_ms, but p95
     sign: int  # 1 where high scores are better, -1 where low ones are
+    gbuffer_samples: float = 0.0  # time of the G-buffer, in path samples
+    gbuffer_ms: float = 0.0  # in place of it, a time that does not depend on that of a sample
 
     @property
     def direction(self) -> str:
@@ -43,8 +47,13 @@ class Curve:
     def frame_ms(self, sample_ms: float | Numbers, late: bool = False) -> Numbers:
         """Frame time [..., budgets] at each measured budget; `late`: p95 of inference."""
         fixed = self.late_ms if late else self.fixed_ms
-        times: Numbers = fixed + self.samples * np.asarray(sample_ms, float)[..., None]
+        sample = np.asarray(sample_ms, float)[..., None]
+        times: Numbers = self.gbuffer_ms_at(sample) + fixed + self.samples * sample
         return times
+
+    def gbuffer_ms_at(self, sample_ms: Numbers) -> Numbers:
+        """Time of the G-buffer where a path sample of each pixel costs `sample_ms`."""
+        return self.gbuffer_ms + self.gbuffer_samples * sample_ms
 
     def frame_ms_at(self, spp: Numbers, sample_ms: float) -> Numbers:
         """Frame time at budgets between the smallest and the largest measured one."""
@@ -93,7 +102,7 @@ def curves_of(scores: Scores, allow_unreliable: bool = True) -> list[Curve]:
     Without `allow_unreliable`, a budget whose time is unreliable on a scene is left out: an answer
     must not rest on times that the clock rejected.
     """
-    points = scores.points.assign(samples=_in_path_samples(scores.points))
+    points = scores.points.assign(**_in_path_samples(scores.points))
     if not allow_unreliable:
         doubted = points.groupby(["method", "target_spp"])["unreliable"].transform("any")
         points = points[~doubted]
@@ -103,12 +112,21 @@ def curves_of(scores: Scores, allow_unreliable: bool = True) -> list[Curve]:
     units = means.pivot(index=["method", "target_spp"], columns=unit, values="value")
     sign = -1 if scores.direction == "lower" else 1
     columns = ["target_spp", "inference_ms", "samples", "inference_p95_ms"]
+    is_given = (scores.rows["convention"] == GIVEN_GBUFFER).any()
     curves = []
     for method, rows in budgets.sort_values("target_spp").groupby("method"):
         table = units.loc[[(method, spp) for spp in rows["target_spp"]]].to_numpy(float)
         spp, fixed, samples, late = (rows[name].to_numpy(float) for name in columns)
-        curves.append(Curve(str(method), spp, table, fixed, samples, late, sign))
+        gbuffer = rows["gbuffer_ms" if is_given else "gbuffer_samples"].fillna(0.0).mean()
+        charged = {"gbuffer_ms" if is_given else "gbuffer_samples": float(gbuffer)}
+        curves.append(Curve(str(method), spp, table, fixed, samples, late, sign, **charged))
     return curves
+
+
+def denoisers(curves: Sequence[Curve]) -> list[Curve]:
+    """The curves that may win: those of denoisers. All of them where none is a denoiser."""
+    found = [curve for curve in curves if family_of(curve.method) not in UNDENOISED]
+    return found or list(curves)
 
 
 def methods_without_curve(scores: Scores, curves: Iterable[Curve]) -> list[str]:
@@ -138,15 +156,16 @@ def _path_sample_ms(points: pd.DataFrame) -> pd.Series[float]:
     return points.groupby("scene")["sample_ms"].min()
 
 
-def _in_path_samples(points: pd.DataFrame) -> pd.Series[float]:
-    """Drawn samples of a pixel, each counted by its cost in path samples of an average scene.
+def _in_path_samples(points: pd.DataFrame) -> dict[str, pd.Series[float]]:
+    """Times of the drawn samples and of the G-buffer, in path samples of an average scene.
 
     Results without any cost of a sample count all samples alike.
     """
     path = _path_sample_ms(points)
     if path.isna().all():
-        return points["mean_spp"]
-    return points["mean_spp"] * points["sample_ms"] / float(path.mean())
+        return {"samples": points["mean_spp"], "gbuffer_samples": points["gbuffer_ms"] * 0.0}
+    parts = {"samples": points["sampling_ms"], "gbuffer_samples": points["gbuffer_ms"]}
+    return {name: times / float(path.mean()) for name, times in parts.items()}
 
 
 @dataclass(frozen=True, eq=False)

@@ -6,8 +6,11 @@ from collections.abc import Iterable, Iterator, Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+import pandas as pd
 from numpy.typing import NDArray
 
+from reports.analysis.curves import UNDENOISED
+from reports.analysis.rows import family_of
 from rlbench.benchmark.results import MissingRowsError
 
 if TYPE_CHECKING:
@@ -75,7 +78,7 @@ def select_images(
             f"no images of {', '.join(missing)} on {clip.name}; there are: {available}. Run the "
             "method with --keep-images at this budget"
         )
-    order = list(methods) or [name for name in usual if name in images]
+    order = list(methods) or list(dict.fromkeys(name for name in usual if name in images))
     order += [] if methods else [name for name in images if name not in order]
     if len(order) < at_least:
         raise MissingRowsError(
@@ -83,6 +86,12 @@ def select_images(
             "`rlbench run --keep-images` with more methods"
         )
     return [images[name] for name in order[:at_most]]
+
+
+def best_first(results: pd.DataFrame) -> list[str]:
+    """Rows of the results by their mean PSNR, the best first, and raw samples last."""
+    psnr = results[results["metric"] == "psnr"].groupby("method")["value"].mean().dropna()
+    return sorted(map(str, psnr.index), key=lambda n: (family_of(n) in UNDENOISED, -psnr[n]))
 
 
 def first_of_scenes(clips: Iterable[ShownClip], at_most: int) -> Iterator[ShownClip]:

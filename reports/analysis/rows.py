@@ -9,6 +9,7 @@ import pandas as pd
 from rlbench.benchmark.results import (
     HELD_OUT_PREFIX,
     IMAGES_PREFIX,
+    NO_GBUFFER,
     TWO_DEVICES,
     UNRELIABLE,
     RowName,
@@ -18,6 +19,7 @@ from rlbench.benchmark.results import (
 VERSION = ["dtype", "code_hash", "weights_hash"]  # one value of each per method in a report
 REASONS = ("inference_ms", "sample_ms")  # the times whose notes give the reasons once
 FEW_METRICS = 2  # that a remark names one by one
+GIVEN_GBUFFER = "given: --gbuffer-ms"  # convention of G-buffer times that do not grow with samples
 REQUESTED = ", requested "  # in a reason, before the budget that a sentence names anyway
 
 
@@ -88,6 +90,17 @@ def select_device(results: pd.DataFrame, device: str) -> tuple[pd.DataFrame, str
             f"{'; '.join(name or 'unnamed' for name in parts)}. Name one with --device"
         )
     return parts[device], device
+
+
+def charge_gbuffer(rows: pd.DataFrame, gbuffer_ms: float | None) -> pd.DataFrame:
+    """The rows with another time of a G-buffer, for methods that read one; None changes nothing."""
+    if gbuffer_ms is None:
+        return rows
+    reads = (rows["metric"] == "gbuffer_ms") & (rows["convention"] != NO_GBUFFER)
+    return rows.assign(
+        value=rows["value"].mask(reads, gbuffer_ms),
+        convention=rows["convention"].mask(reads, GIVEN_GBUFFER),
+    )
 
 
 def check_comparable(rows: pd.DataFrame) -> None:
@@ -188,8 +201,12 @@ def remarks(rows: pd.DataFrame) -> list[str]:
 
 
 def unreliable_rows(rows: pd.DataFrame) -> pd.DataFrame:
-    """The rows of times that failed their test."""
-    return rows[(rows["unit"] == "ms") & rows["note"].str.startswith(UNRELIABLE)]
+    """The rows of times that failed their test.
+
+    Percentiles have the note of their mean. Alone they have it where the mean was published.
+    """
+    is_mean = (rows["unit"] == "ms") & ~rows["metric"].str.contains(r"_p\d+_ms$")
+    return rows[is_mean & rows["note"].str.startswith(UNRELIABLE)]
 
 
 def unreliable_times(rows: pd.DataFrame) -> list[str]:

@@ -32,7 +32,7 @@ NOTHING = ("", "-")
 def to_latex(table: Table, with_note: bool = True) -> str:
     """The table as LaTeX floats, one for each part that fits a page; `with_note`: with its note."""
     columns = list(zip(*[table.header, *table.rows], strict=True))
-    numbers = [_Column(column[0], column[1:]) for column in columns[1:]]
+    numbers = [_Column(column[0], column[1:], table.beside) for column in columns[1:]]
     first = max((len(cell) for cell in columns[0]), default=0)
     parts = [
         (group, slice(start, start + MAX_ROWS))
@@ -40,19 +40,19 @@ def to_latex(table: Table, with_note: bool = True) -> str:
         for start in range(0, max(len(table.rows), 1), MAX_ROWS)
     ]
     names = [row[0] for row in table.rows]
-    caption = " ".join([f"{table.title}.", table.caption, table.note * with_note]).strip()
-    captions = [caption, *[f"{table.title}, continued."] * (len(parts) - 1)]
+    captions = [f"{table.title}.", *[f"{table.title}, continued."] * (len(parts) - 1)]
+    below = " ".join(filter(None, [table.caption, table.note * with_note]))
     return "\n".join(
-        _float(text, table.header[0], names[rows], group, rows)
-        for text, (group, rows) in zip(captions, parts, strict=True)
+        _float(text, below * (i == 0), table.header[0], names[rows], group, rows)
+        for i, (text, (group, rows)) in enumerate(zip(captions, parts, strict=True))
     )
 
 
 class _Column:
     """A column of cells: numbers and what follows them, or text."""
 
-    def __init__(self, title: str, cells: Sequence[str]) -> None:
-        self.title, self.cells = title, cells
+    def __init__(self, title: str, cells: Sequence[str], beside: str) -> None:
+        self.title, self.cells, self.beside = title, cells, beside
         found = [NUMBER.fullmatch(cell) for cell in cells if cell not in NOTHING]
         self.is_text = not found or None in found
         matches = [match for match in found if match]
@@ -63,7 +63,8 @@ class _Column:
         longest = max((len(cell) for cell in cells), default=0)
         suffix = max((len(match[4]) for match in matches), default=0)
         width = longest if self.is_text else signs + digits + decimals + 1 + SUFFIX_SIZE * suffix
-        self.width = max(width, len(title)) + 2
+        heading = len(title) + SUFFIX_SIZE * len(beside) * self.has_suffix
+        self.width = max(width, heading) + 2
 
     @property
     def specification(self) -> str:
@@ -76,6 +77,8 @@ class _Column:
     @property
     def heading(self) -> str:
         text = _escape(self.title)
+        if self.has_suffix and self.beside:
+            return rf"{{{text}}} & {{\scriptsize {_escape(self.beside)}}}"
         if self.has_suffix:
             return rf"\multicolumn{{2}}{{c}}{{{text}}}"
         return text if self.is_text else f"{{{text}}}"
@@ -105,8 +108,14 @@ def _split(columns: Sequence[_Column], width: float) -> list[list[_Column]]:
 
 
 def _float(
-    caption: str, title: str, names: Sequence[str], columns: Sequence[_Column], rows: slice
+    caption: str,
+    below: str,
+    title: str,
+    names: Sequence[str],
+    columns: Sequence[_Column],
+    rows: slice,
 ) -> str:
+    """A table with a caption of one sentence, and below it how to read it."""
     lines = [
         [_escape(name), *(column.cell(rows.start + i) for column in columns)]
         for i, name in enumerate(names)
@@ -125,6 +134,10 @@ def _float(
             *(" & ".join(line) + r" \\" for line in lines),
             r"\bottomrule",
             r"\end{tabular}",
+            *(
+                [rf"\par\smallskip\parbox{{\textwidth}}{{\footnotesize {_escape(below)}}}"]
+                * bool(below)
+            ),
             r"\end{table}",
             "",
         ]
@@ -132,4 +145,4 @@ def _float(
 
 
 def _escape(text: str) -> str:
-    return "".join(ESCAPES.get(c, c) for c in text)
+    return "".join(ESCAPES.get(c, c) for c in text).replace("+-", r"$\pm$")

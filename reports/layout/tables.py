@@ -19,6 +19,19 @@ UNRELIABLE_MARK = "?"  # after a time
 UNRELIABLE_MEANING = (
     f"{UNRELIABLE_MARK}: an unreliable time, see the list below and rlbench run --retime"
 )
+SCORE_NAMES = {
+    "psnr": "PSNR",
+    "psnr_debiased": "PSNR, debiased",
+    "psnr_late": "PSNR, late",
+    "ms_ssim": "MS-SSIM",
+    "ssim": "SSIM",
+    "relmse": "relMSE",
+    "smape": "SMAPE",
+    "flip": "FLIP",
+    "hdr_flip": "HDR-FLIP",
+    "lpips": "LPIPS",
+    "cvvdp": "ColorVideoVDP",
+}  # as papers write them
 RULES = {"higher": "Higher is better.", "lower": "Lower is better."}
 SCORE_NOTE = (
     "Methods are in the order of their scores at the budget nearest to 1 spp that most have. Bold "
@@ -26,6 +39,11 @@ SCORE_NOTE = (
 )
 DIGITS = 3  # significant ones, of the median of a table without a unit
 MAX_DECIMALS = 6
+
+
+def score_name(metric: str) -> str:
+    """A metric as papers write it; the name of the results where they have no other."""
+    return SCORE_NAMES.get(metric, metric)
 
 
 class Bold(str):
@@ -41,6 +59,7 @@ class Table:
     header: tuple[str, ...]
     rows: Rows
     note: str = ""  # how to read it; a page prints it once for all tables that share it
+    beside: str = ""  # what follows a number in a cell, if that is no interval of the number
 
 
 def format_difference(record: Record) -> str:
@@ -129,7 +148,8 @@ def score_table(scores: Scores, rank: pd.DataFrame, caption: str = "", subject: 
     caption += RULES.get(scores.direction, "Not ranked.")
     if claimed := [m for m in methods_from_elsewhere(scores.rows) if m in order]:
         caption += f" Not verified, images and budget as claimed: {', '.join(claimed)}."
-    return Table(title, caption, header, rows, SCORE_NOTE if scores.direction else "")
+    note = SCORE_NOTE if scores.direction else ""
+    return Table(title, caption, header, rows, note, beside="difference")
 
 
 def _format_score(row: Record, number: Callable[[float], str]) -> str:

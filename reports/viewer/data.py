@@ -9,11 +9,18 @@ from typing import Any
 import pandas as pd
 from scipy import stats
 
-from reports.analysis.curves import Curve, curves_of, measured_sample_ms, methods_without_curve
+from reports.analysis.curves import (
+    Curve,
+    curves_of,
+    denoisers,
+    measured_sample_ms,
+    methods_without_curve,
+)
 from reports.analysis.differences import ALL_SCENES, correct_by_holm, rank_methods
 from reports.analysis.intervals import LEVEL
 from reports.analysis.rows import remarks, skip_reasons
 from reports.analysis.scores import Scores, metrics_with_values
+from reports.layout.tables import score_name
 
 KEYS = ["method", "scene", "target_spp"]
 TIMES = ["inference_ms", "frame_ms", "mean_spp", "unreliable"]
@@ -25,7 +32,8 @@ def decision_data(rows: pd.DataFrame, device: str) -> list[dict[str, Any]]:
     """For each metric that ranks methods: its curves over all scenes, and over each scene.
 
     `rows` are those of one device. A curve has `spp` and `fixed_ms` [budgets], `units` [budgets
-    units], `samples` [budgets] and `unreliable` [budgets], as in `reports.analysis.curves`.
+    units], `samples` [budgets], `gbuffer_ms`, `gbuffer_samples` and `unreliable` [budgets], as in
+    `reports.analysis.curves`; those that do not `compete` are not ranked.
     """
     described = []
     for metric in metrics_with_values(rows):
@@ -40,10 +48,12 @@ def decision_data(rows: pd.DataFrame, device: str) -> list[dict[str, Any]]:
             described.append(
                 {
                     "metric": metric,
+                    "title": score_name(metric),
                     "unit": scores.column_text("unit"),
                     "convention": scores.convention,
                     "sign": -1 if scores.direction == "lower" else 1,
                     "cost_source": scores.cost_source,
+                    "device_mixes": list(scores.device_mixes),
                     "scopes": scopes,
                 }
             )
@@ -64,6 +74,7 @@ def student_factors(units: int) -> list[float]:
 
 def _scope(name: str, scores: Scores) -> dict[str, Any]:
     curves = curves_of(scores)
+    competing = denoisers(curves)
     points = scores.points
     marked = points[points["unreliable"]]
     unreliable = {(str(m), float(s)) for m, s in marked[["method", "target_spp"]].to_numpy()}
@@ -71,18 +82,21 @@ def _scope(name: str, scores: Scores) -> dict[str, Any]:
         "name": name,
         "unit": "scenes" if scores.scene_means["scene"].nunique() > 1 else "clips",
         "sample_ms": measured_sample_ms(scores),
-        "curves": [_curve(curve, unreliable) for curve in curves],
+        "curves": [_curve(curve, unreliable, curve in competing) for curve in curves],
         "missing": methods_without_curve(scores, curves),
     }
 
 
-def _curve(curve: Curve, unreliable: set[tuple[str, float]]) -> dict[str, Any]:
+def _curve(curve: Curve, unreliable: set[tuple[str, float]], is_competing: bool) -> dict[str, Any]:
     return {
         "method": curve.method,
         "spp": curve.spp.tolist(),
         "units": curve.units.tolist(),
         "fixed_ms": curve.fixed_ms.tolist(),
         "samples": curve.samples.tolist(),
+        "gbuffer_ms": curve.gbuffer_ms,
+        "gbuffer_samples": curve.gbuffer_samples,
+        "competes": is_competing,
         "unreliable": [(curve.method, float(spp)) in unreliable for spp in curve.spp],
     }
 
@@ -103,6 +117,7 @@ def table_data(rows: pd.DataFrame, device: str) -> dict[str, Any]:
         metrics.append(
             {
                 "metric": metric,
+                "title": score_name(metric),
                 "unit": scores.column_text("unit"),
                 "direction": scores.direction,
                 "convention": scores.convention,

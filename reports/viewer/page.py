@@ -20,6 +20,7 @@ from reports.analysis.differences import TIE_DB
 from reports.analysis.rows import check_comparable, split_by_device
 from reports.layout.files import finished_file
 from reports.layout.page import describe_clips
+from reports.layout.style import line_styles
 from reports.layout.tables import UNRELIABLE_MARK
 from reports.viewer.data import decision_data, frame_scores, provenance, student_factors, table_data
 from reports.viewer.pictures import MAX_METHODS, pack_clips
@@ -67,6 +68,7 @@ def write(
         "remarks": [*remarks, *left_out],
         "maps": {name: _colours(name) for name in COLOUR_MAPS.values()},
         "map_of": COLOUR_MAPS,
+        "looks": _looks(results),
     }
     frame = _render(data, [], math.nan)
     texts, error = pack_clips(chosen, max_bytes - len(frame.encode()) - FEW_BYTES)
@@ -135,6 +137,18 @@ def _finite(value: Any) -> Any:
     if isinstance(value, np.generic):
         value = value.item()
     return None if isinstance(value, float) and not math.isfinite(value) else value
+
+
+def _looks(results: pd.DataFrame) -> dict[str, dict[str, str]]:
+    """Colour and dashes of each method, as in the figures; dashes as SVG writes them."""
+    styles = line_styles(results["method"])
+    return {
+        name: {
+            "colour": each.color,
+            "dash": "" if each.dash == "-" else " ".join(f"{3 * x:g}" for x in each.dash[1]),
+        }
+        for name, each in styles.items()
+    }
 
 
 def _colours(name: str) -> str:

@@ -69,6 +69,7 @@ def run(
     cost: str = costs.MEASURED,
     weights: Path | str | None = None,
     weights_label: str = "",
+    weights_for: Iterable[str] = (),
     bf16: bool = False,
     backend: str = EAGER,
     skip_tiles: bool = False,
@@ -87,7 +88,8 @@ def run(
     `takes` ("main", "all"), and are rendered where they are missing; or those in the folders
     `clips`.
     `weights` is the path of a file or "random", whose rows are named `METHOD@weights_label`; None
-    takes the shipped weights. `backend` runs the networks: "eager" is PyTorch, "openvino" and
+    takes the shipped weights, as do methods that are not among `weights_for`, if it names any.
+    `backend` runs the networks: "eager" is PyTorch, "openvino" and
     "compile" (torch.compile) are compilers, for rows `METHOD@openvino`, and "auto" takes OpenVINO
     where it is installed. `skip_tiles` keeps unchanged tiles of methods with a receptive field, for
     rows `METHOD@tiles`. `cost` is "measured", the name of a cost profile, or a TOML file.
@@ -119,6 +121,7 @@ def run(
             cost=cost,
             weights=weights,
             weights_label=weights_label,
+            weights_for=weights_for,
             bf16=bf16,
             backend=backend,
             skip_tiles=skip_tiles,
@@ -155,6 +158,7 @@ def plan_run(
     cost: str = costs.MEASURED,
     weights: Path | str | None = None,
     weights_label: str = "",
+    weights_for: Iterable[str] = (),
     bf16: bool = False,
     backend: str = EAGER,
     skip_tiles: bool = False,
@@ -181,6 +185,7 @@ def plan_run(
         cost=cost,
         weights=file,
         weights_label=weights_label,
+        weights_for=tuple(weights_for),
         bf16=bf16,
         backend=selected_backend,
         skip_tiles=skip_tiles,

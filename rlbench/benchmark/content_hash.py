@@ -150,10 +150,7 @@ def header_facts(header: Header) -> tuple[object, ...]:
 def scoring_content() -> str:
     """Names of the run's metrics, hash of their code and of `SCORING`, and package versions."""
     metrics = registry.load_run_metrics()
-    entries = registry.list_entries("metrics")
-    targets = [entries[name].target.partition(":")[0] for name in metrics]
-    modules = set().union(*map(code_hash.import_closure, targets))
-    hashed = code_hash.code_hash(modules, core=SCORING)
+    hashed = registry.metrics_code_hash(metrics, SCORING)
     packages = sorted({name for metric in metrics.values() for name in metric.requires})
     return f"{list(metrics)} {hashed} {provenance.package_versions(packages)}"
 

@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from rlbench import registry
-from rlbench.benchmark.results import UNRELIABLE
+from rlbench.benchmark.results import NO_GBUFFER, UNRELIABLE
 from rlbench.errors import RlbenchError
 from rlbench.registry.near_names import suggest
 from rlbench.system import code_hash, documents, paths, provenance
@@ -35,6 +35,7 @@ __all__ = [
     "published",
     "tracing",
     "with_gbuffer",
+    "write_profile",
 ]
 
 MEASURED = "measured"  # the name of no profile: times of this machine
@@ -137,6 +138,25 @@ def profile(name: str) -> CostProfile:
         raise CostError(f"cost profile '{name}' cannot be read: {error}. {PAGE}") from error
 
 
+def write_profile(
+    file: Path,
+    device: str,
+    size: tuple[int, int],
+    sample_ms: float,
+    inference_ms: Mapping[str, Mapping[str, float]],
+) -> None:
+    """Write a cost profile of one device, for all scenes; `size` (height, width) is of a sample."""
+    texts = {"title": device, "source": "rlbench speed --as-cost", "device": device}
+    lines = [f"{key} = {json.dumps(text)}" for key, text in texts.items()]
+    lines += [f"height = {size[0]}", f"width = {size[1]}", f"default_ms = {sample_ms!r}"]
+    lines += ["", "[scene_ms]"]
+    for pixels, by_method in inference_ms.items():
+        times = [f"{json.dumps(name)} = {ms!r}" for name, ms in by_method.items()]
+        lines += ["", f"[inference_ms.{pixels}]", *times]
+    with paths.atomic_write(file) as temporary:
+        temporary.write_text("\n".join(lines) + "\n", encoding="utf-8")
+
+
 def _check(name: str, document: Mapping[str, Any]) -> None:
     """Raise CostError for missing and unknown keys, and for numbers that are no times or sizes."""
     required = [each.name for each in fields(CostProfile) if each.default_factory is MISSING]
@@ -205,7 +225,7 @@ class Cost:
     note: str = ""  # why it is not known, or a remark on it
     device: str = ""  # that traces the samples
     gbuffer_ms: float = 0.0  # 0 for a method that reads none, and where it is not known
-    gbuffer_convention: str = "the method reads no G-buffer"
+    gbuffer_convention: str = NO_GBUFFER
     scatter: Scatter = FULL_FRAME  # what samples at adaptive counts cost more
 
 

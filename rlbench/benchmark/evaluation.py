@@ -37,7 +37,7 @@ from rlbench.benchmark.scoring import (
 from rlbench.clips.stored import open_clip
 from rlbench.errors import OptionError
 from rlbench.run import FrameResult
-from rlbench.system import code_hash, provenance
+from rlbench.system import provenance
 from rlbench.system.folder_lock import locked_folder
 
 __all__ = ["EvaluatedMetric", "EvaluationSummary", "evaluate", "select_metrics"]
@@ -243,8 +243,7 @@ def _load(name: str) -> Any:
 
 def _content_hash(entry: str, metric: Any) -> str:
     """Hash of a metric's code, convention and packages, and of the code that scores images."""
-    target = registry.list_entries("metrics")[entry].target.partition(":")[0]
-    code = code_hash.code_hash(code_hash.import_closure(target), core=SCORING)
+    code = registry.metrics_code_hash([entry], SCORING)
     content = (metric.name, metric.convention, code, provenance.package_versions(metric.requires))
     return sha256(repr(content).encode()).hexdigest()[:16]
 

@@ -43,6 +43,7 @@ __all__ = [
 ]
 
 UNRELIABLE = "unreliable:"  # begins the note of a time that failed its test; the reason follows
+NO_GBUFFER = "the method reads no G-buffer"  # convention of its time, which is 0
 TWO_DEVICES = "two devices:"  # in the note of a frame's time that adds times of two devices
 EVENT_PREFIX = "event_"  # of rows that say what happens in a clip at their frame
 COUNT_PREFIX = "pixels_with_"  # of rows of a histogram: share of a clip's pixels with N samples

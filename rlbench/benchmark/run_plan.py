@@ -56,6 +56,7 @@ class RunPlan:
     device: torch.device = field(default_factory=lambda: torch.device("cpu"))
     cost: str = MEASURED  # or a cost profile: a shipped one, or the path of a TOML file
     weights: str | None = None  # None for the shipped ones, "random", or the path of a file
+    weights_for: tuple[str, ...] = ()  # the methods that `weights` are of; empty: all
     limit_frames: int | None = None  # first frames of each clip only, for a trial run
     repeats: int = REPEATS  # timed frames, at least
     bf16: bool = False  # run networks in bfloat16
@@ -155,9 +156,10 @@ def row_name(plan: RunPlan, name: str) -> str:
     variant = registry.get_variant(name)
     parts = [TILES if _skips_tiles(plan, variant) else ""]
     if variant.learned:
-        label = plan.weights_label
-        if plan.weights and not label and _shipped_weights(name).is_file():
-            label = _label_of_file(plan.weights)
+        weights = chosen_weights(plan, name)
+        label = plan.weights_label if weights == plan.weights else ""
+        if weights and not label and _shipped_weights(name).is_file():
+            label = _label_of_file(weights)
         backend = "" if plan.backend == EAGER else plan.backend
         label = CROSSVAL if plan.held_out_scene else label
         parts = [backend, BF16 if plan.bf16 else "", *parts, label]
@@ -166,9 +168,15 @@ def row_name(plan: RunPlan, name: str) -> str:
 
 def weights_file(plan: RunPlan, name: str) -> Path | None:
     """Path of a method's weights, which may not exist; None for random ones, or no networks."""
-    if not registry.get_variant(name).learned or plan.weights == "random":
+    weights = chosen_weights(plan, name)
+    if not registry.get_variant(name).learned or weights == "random":
         return None
-    return Path(plan.weights) if plan.weights else _shipped_weights(name)
+    return Path(weights) if weights else _shipped_weights(name)
+
+
+def chosen_weights(plan: RunPlan, name: str) -> str | None:
+    """The plan's weights if they are for this method; None for the shipped ones."""
+    return plan.weights if not plan.weights_for or name in plan.weights_for else None
 
 
 @dataclass(frozen=True)
@@ -188,7 +196,7 @@ class CellLoader:
                 self._methods[cell.method] = build_method(
                     cell.method,
                     self.plan.device,
-                    self.plan.weights,
+                    chosen_weights(self.plan, cell.method),
                     backend=cell.backend,
                     bf16=cell.bf16,
                     skip_tiles=cell.skip_tiles,

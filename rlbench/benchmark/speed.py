@@ -31,6 +31,7 @@ from rlbench.benchmark.run_plan import build_method
 from rlbench.checks.tensors import iterate_parts, iterate_tensors
 from rlbench.clips.in_memory import InMemoryClip
 from rlbench.clips.procedural.clip import procedural_clip
+from rlbench.errors import RlbenchError
 from rlbench.frames import Clip, GBuffer, Samples, Size
 from rlbench.method import Method, State
 from rlbench.parallel.executor import LOCAL, JobResult, ProgressCallback
@@ -43,6 +44,7 @@ __all__ = [
     "failed_rows",
     "generated_clip",
     "measure_speed",
+    "profile_times",
     "speed_page",
     "write_speed",
 ]
@@ -146,6 +148,25 @@ def failed_rows(table: pd.DataFrame) -> dict[str, str]:
     """The rows of a table without times, and the error that is the reason."""
     failed = table[table["inference_ms"].isna()]
     return dict(zip(failed["method"], failed["note"], strict=True))
+
+
+def profile_times(table: pd.DataFrame) -> dict[str, dict[str, float]]:
+    """The inference times of a table by size, as in "1920x1080", and row; those without a note.
+
+    Raises RlbenchError if every time has a note.
+    """
+    sound = table[table["note"] == ""]
+    if sound.empty:
+        raise RlbenchError(
+            f"no time can be used, of {len(table)}: {table['note'].iloc[0]}. Repeat the command "
+            "when the machine is idle"
+        )
+    return {
+        f"{width}x{height}": dict(
+            zip(rows["method"], map(float, rows["inference_ms"]), strict=True)
+        )
+        for (height, width), rows in sound.groupby(["height", "width"])
+    }
 
 
 class _Loaded(NamedTuple):

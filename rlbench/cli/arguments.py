@@ -4,13 +4,15 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Collection, Iterable
 from dataclasses import dataclass
 from functools import wraps
 from pathlib import Path
 from typing import Any, NewType, TypeVar
 
 import typer
+
+from rlbench.errors import OptionError
 
 __all__ = [
     "Budgets",
@@ -30,6 +32,7 @@ __all__ = [
     "parse_share",
     "parse_size",
     "parse_sizes",
+    "parse_time",
     "parse_train_spp",
     "parse_weights",
     "split_names",
@@ -53,6 +56,24 @@ class WeightsChoice:
 
     file: str | None = None  # None for the shipped weights
     label: str = ""
+    methods: tuple[str, ...] = ()  # that the file is for; empty: all
+
+    def for_methods(self, names: Collection[str]) -> WeightsChoice:
+        """The choice, whose label is a method if it is one of these names."""
+        if self.label in names:
+            return WeightsChoice(self.file, methods=(self.label,))
+        if "/" in self.label:
+            raise OptionError(
+                f"--weights {self.label}={self.file}: {self.label} is none of the methods of this "
+                f"command: {', '.join(names)}"
+            )
+        return self
+
+    def files_of(self, names: Collection[str]) -> dict[str, str]:
+        """The file of each method that has it in place of the shipped one."""
+        chosen = self.for_methods(names)
+        file = self.file
+        return {name: file for name in chosen.methods or names} if file else {}
 
 
 def text_parser(parse: Callable[[str], T]) -> Callable[[Any], T]:
@@ -76,15 +97,15 @@ def split_names(values: Iterable[str] | None) -> list[str]:
 
 @text_parser
 def parse_budgets(text: str) -> Budgets:
-    """Different finite numbers of samples per pixel, at least 0.
+    """Different finite numbers of samples per pixel, above 0.
 
     >>> parse_budgets("0.5,1,1.0")
     (0.5, 1.0)
     """
     budgets = Budgets(tuple(dict.fromkeys(_number(part) for part in split_names([text]))))
-    if not budgets or not all(math.isfinite(spp) and spp >= 0 for spp in budgets):
+    if not budgets or not all(math.isfinite(spp) and spp > 0 for spp in budgets):
         raise typer.BadParameter(
-            f"'{text}' is no list of budgets. Give samples per pixel, for example 0.5,1,2"
+            f"'{text}' is no list of budgets. Give samples per pixel above 0, for example 0.5,1,2"
         )
     return budgets
 
@@ -170,6 +191,14 @@ def parse_positive(text: str) -> float:
 
 
 @text_parser
+def parse_time(text: str) -> float:
+    """A finite number of at least 0."""
+    if not 0 <= (number := _number(text)) < math.inf:
+        raise typer.BadParameter(f"'{text}' is no time. Give milliseconds, at least 0")
+    return number
+
+
+@text_parser
 def parse_share(text: str) -> float:
     """A number between 0 and 1, both excluded."""
     if not 0 < (share := _number(text)) < 1:
@@ -223,7 +252,7 @@ def parse_definition(text: str) -> Definition:
 
 @text_parser
 def parse_weights(text: str) -> WeightsChoice:
-    """The file and the label of NAME=FILE, FILE or `random`."""
+    """The file and the method or label of NAME=FILE, FILE or `random`."""
     from rlbench.benchmark.results import RESERVED_LABELS
 
     if text == "random":
@@ -231,9 +260,10 @@ def parse_weights(text: str) -> WeightsChoice:
     label, equals, file = text.partition("=")
     if not equals or Path(text).exists():
         label, file = "", text
-    elif not re.fullmatch(r"[\w+-]+", label, re.ASCII):
+    elif not re.fullmatch(r"[\w+-]+(/[\w+-]+)?", label, re.ASCII):
         raise typer.BadParameter(
-            f"'{label}' cannot name rows METHOD@NAME. Use letters, digits, _, + and -"
+            f"'{label}' is no method and cannot name rows METHOD@NAME. Use letters, digits, _, + "
+            "and -"
         )
     elif (word := label.partition("-")[0]) in RESERVED_LABELS:
         raise typer.BadParameter(

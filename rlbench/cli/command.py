@@ -64,7 +64,8 @@ class Command(TyperCommand):
     """A command whose help lists its first options, and all with --help-all.
 
     Where it has the option --methods and no argument, words that belong to no option are methods:
-    `rlbench check ours` is `rlbench check -m ours`.
+    `rlbench check ours` is `rlbench check -m ours`. Where it has --results, a folder among them is
+    its value.
     """
 
     def format_options(self, ctx: Any, formatter: Any) -> None:
@@ -98,24 +99,41 @@ class Command(TyperCommand):
         has_argument = any(each.param_type_name == "argument" for each in self.params)
         return not has_argument and any(each.name == "methods" for each in self.params)
 
+    @property
+    def takes_results(self) -> bool:
+        """Has it the option --results, so that a folder among the words is its value?"""
+        return any(
+            each.name == "results" and each.param_type_name == "option" for each in self.params
+        )
+
     def make_parser(self, ctx: Any) -> Any:
-        """The parser of this command's words, which adds bare words to the methods."""
+        """The parser of this command's words: a folder is the results, others are methods."""
         parser: Any = super().make_parser(ctx)
-        if self.takes_bare_methods:
+        if self.takes_bare_methods or self.takes_results:
             parse_options = parser.parse_args
 
             def parse(args: list[str]) -> tuple[dict[str, Any], list[str], list[Any]]:
                 options, words, order = parse_options(args=args)
-                if words:
+                folders = [word for word in words if self.takes_results and Path(word).is_dir()]
+                if len(folders) == 1 and "results" not in options:
+                    options["results"] = folders[0]
+                    words = [word for word in words if word not in folders]
+                if words and self.takes_bare_methods:
                     options["methods"] = [*options.get("methods", []), *words]
-                return options, [], order
+                    words = []
+                return options, words, order
 
             parser.parse_args = parse
         return parser
 
     def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
-        """Parse the words; a value that is none of the choices is answered with the nearest one."""
+        """Parse the words; a value that is none of the choices is answered with the nearest one.
+
+        Where the results are an argument, --results may stand before it, as in other commands.
+        """
         _show_all(ctx, args)
+        if not self.takes_results and any(each.name == "results" for each in self.params):
+            args = [word.removeprefix("--results=") for word in args if word != "--results"]
         try:
             return super().parse_args(ctx, args)
         except typer.BadParameter as error:
@@ -199,6 +217,8 @@ class CommandGroup(TyperGroup):
         end = args.index("--") if "--" in args else len(args)
         words, rest = args[:end], args[end:]
         _show_all(ctx, words[:1])
+        if words[:1] == ["help"]:  # `rlbench help run` is `rlbench run --help`
+            words = [*words[1:2], "--help"]
         first = [word for word in words if word in PROGRAM_OPTIONS]
         others = [word for word in words if word not in PROGRAM_OPTIONS]
         return super().parse_args(ctx, [*first, *others, *rest])

@@ -10,6 +10,7 @@ import typer
 from rlbench.cli import options
 from rlbench.cli.arguments import split_names
 from rlbench.cli.json_output import as_json_text
+from rlbench.cli.methods import load_plugins
 from rlbench.cli.options import names_of_methods
 from rlbench.cli.selection import read_rows
 
@@ -26,6 +27,7 @@ def compare(
     metric: options.Metric = "psnr",
     device: options.RowDevice = "",
     results: options.Results = Path("results"),
+    plugin: options.Plugins = None,
     as_json: options.Json = False,
 ) -> None:
     """Say whether one method leads another, and how sure that is.
@@ -43,6 +45,7 @@ def compare(
     names = split_names(methods)
     if len(names) != 2:
         raise typer.BadParameter(f"name two rows, for example -m ours,oidn; {len(names)} are named")
+    load_plugins(plugin)
     import reports.compare
 
     rows = read_rows(results, names, scenes, spp)

@@ -1,4 +1,4 @@
-"""The command decide: which method gives the least error in a frame time."""
+"""The command decide: which denoiser gives the least error in a frame time."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from rlbench.cli import options
+from rlbench.cli import answers, options
 from rlbench.cli.arguments import parse_positive, split_names
 from rlbench.cli.json_output import as_json_text
 from rlbench.cli.methods import load_plugins
@@ -24,15 +24,6 @@ __all__ = ["decide"]
 
 
 def decide(
-    sample_ms: Annotated[
-        float,
-        option(
-            MEASUREMENT,
-            "your renderer's time for one sample of every pixel",
-            value="MS",
-            parse=parse_positive,
-        ),
-    ],
     frame_ms: Annotated[
         float,
         option(
@@ -42,6 +33,16 @@ def decide(
             parse=parse_positive,
         ),
     ],
+    sample_ms: Annotated[
+        float | None,
+        option(
+            MEASUREMENT,
+            "your renderer's time for one sample of every pixel; default: that in COST",
+            value="MS",
+            parse=parse_positive,
+        ),
+    ] = None,
+    gbuffer_ms: options.GbufferMs = None,
     methods: options.RowMethods = None,
     scenes: options.RowScenes = None,
     needs: Annotated[
@@ -57,6 +58,15 @@ def decide(
     as_json: options.Json = False,
     plugin: options.Plugins = None,
     device: options.RowDevice = "",
+    cost: Annotated[
+        str,
+        option(
+            MEASUREMENT,
+            "times of your device, of samples and methods, in place of those of the results: a "
+            "TOML file, as rlbench speed --as-cost writes it",
+            value="COST",
+        ),
+    ] = "",
     allow_unreliable: Annotated[
         bool,
         flag(
@@ -65,20 +75,13 @@ def decide(
             "also use times that the clock rejected, with a mark",
         ),
     ] = False,
-    sample_device: Annotated[
-        str,
-        option(
-            MEASUREMENT,
-            "device of --sample-ms; a warning says if methods were timed on another",
-            value="NAME",
-        ),
-    ] = "",
 ) -> None:
-    """Name the method with the least error in a frame time.
+    """Name the denoiser with the least error in a frame time.
 
     Reads the results table alone: the expected score with its interval, the runner-up, and the
-    cost of a sample and the deadline at which another method wins. Times that the clock rejected
-    are not used; the exit code is 1 if all are of this kind.
+    cost of a sample and the deadline at which another method wins. Frame time is G-buffer +
+    inference + samples. Times that the clock rejected are not used; the exit code is 1 if all are
+    of this kind, and 2 if no denoiser fits.
 
     Examples:
 
@@ -86,18 +89,55 @@ def decide(
       rlbench decide --sample-ms 4.2 --frame-ms 16.7
       rlbench decide --sample-ms 4.2 --frame-ms 33.3 --scenes city,hall --needs albedo,normal
       rlbench decide --sample-ms 26.3 --frame-ms 100 --results results/gpu --json
+      rlbench decide --cost gpu.toml --frame-ms 16.7 --gbuffer-ms 1.5
     """
     load_plugins(plugin)
-    import reports.decide
+    from reports.decision_text import decision_text
 
     rows, left_out = read_rows(results, methods, scenes), list[str]()
     if needs is not None:
         rows, left_out = _select_by_inputs(rows, split_names(needs))
-    decision = reports.decide.decide(
-        rows, sample_ms, frame_ms, metric, device, left_out, allow_unreliable
+    decision = answers.decide(
+        frame_ms,
+        sample_ms,
+        rows,
+        gbuffer_ms=gbuffer_ms,
+        cost=cost,
+        metric=metric,
+        device=device,
+        allow_unreliable=allow_unreliable,
+        left_out=left_out,
+        plugins=_plugin_words(plugin),
     )
-    text = reports.decide.decision_text
-    typer.echo(as_json_text(decision) if as_json else text(decision, sample_device))
+    if as_json:
+        typer.echo(as_json_text(decision))
+        return
+    best = decision.candidates[0]
+    run = _next_run(rows, best.method, best.spp, results)
+    next_run = run and run + _plugin_words(plugin)
+    typer.echo(decision_text(decision, next_run))
+
+
+def _next_run(rows: pd.DataFrame, method: str, spp: float, results: Path) -> str:
+    """A command that measures twice the budget of a row; empty where none is known to work.
+
+    It has to have the preset of the row, whose clips have so many samples, and its cost of a
+    sample; the weights of a row with a label are not known.
+    """
+    from rlbench.benchmark.results import RowName
+    from rlbench.render.presets import PRESETS
+
+    own = rows[rows["method"] == method]
+    presets = [PRESETS.get(name) for name in set(own["preset"])]
+    sources = own.loc[own["metric"] == "sample_ms", "convention"]
+    is_known = not RowName.parse(method).label and sources.str.contains(", measured on ").all()
+    if not is_known or len(presets) != 1 or not presets[0] or 2 * spp > presets[0].pool_spp:
+        return ""
+    return f"rlbench run -m {method} --spp {2 * spp:g} --preset {presets[0].name} --out {results}"
+
+
+def _plugin_words(files: list[Path] | None) -> str:
+    return "".join(f" --plugin {file}" for file in files or ())
 
 
 def _select_by_inputs(

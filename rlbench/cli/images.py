@@ -53,7 +53,8 @@ def images(
       rlbench images -m ours,ours/A2 --preset standard --takes main --spp 0.1,1 --frame 5
     """
     load_rows(context, plugin, require_methods(methods))
-    names, chosen = expand_methods(methods), weights or WeightsChoice()  # before torch
+    names = expand_methods(methods)  # before torch
+    chosen = (weights or WeightsChoice()).for_methods(names)
     from rlbench.benchmark.api import plan_run
     from rlbench.benchmark.frame_images import ImagesError, write_images
     from rlbench.cli import console
@@ -71,6 +72,7 @@ def images(
         device=device,
         weights=chosen.file,
         weights_label=chosen.label,
+        weights_for=chosen.methods,
         bf16=bf16,
     )
     with console.measuring(plan) as bar:

@@ -119,7 +119,7 @@ Plugins = Annotated[
     list[Path] | None,
     option(
         METHODS,
-        "a Python file with FAMILY or METHODS; can be repeated",
+        "a Python file with FAMILY or METHODS, or with METRIC or METRICS; can be repeated",
         "--plugin",
         value="FILE",
     ),
@@ -128,7 +128,8 @@ Weights = Annotated[
     WeightsChoice | None,
     option(
         METHODS,
-        "trained weights, for rows METHOD@NAME; or random; default: the shipped weights",
+        "trained weights: METHOD=FILE of one method, FILE of all, NAME=FILE for rows METHOD@NAME; "
+        "or random; default: the shipped weights",
         value="[NAME=]FILE",
         parse=arguments.parse_weights,
     ),
@@ -210,6 +211,17 @@ Cost = Annotated[
         "time of a sample: measured, paper-2080ti, or a TOML file",
         value="COST",
         complete=complete_names("profiles"),
+    ),
+]
+GbufferMs = Annotated[
+    float | None,
+    option(
+        MEASUREMENT,
+        "time of your G-buffer, for methods that read one; default: as many samples as in the "
+        "results",
+        "--gbuffer-ms",
+        value="MS",
+        parse=arguments.parse_time,
     ),
 ]
 Repeats = Annotated[

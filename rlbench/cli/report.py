@@ -13,6 +13,7 @@ import typer
 from rlbench.cli import options
 from rlbench.cli.arguments import parse_positive, split_names
 from rlbench.cli.json_output import ReportOutput, print_json
+from rlbench.cli.methods import load_plugins
 from rlbench.cli.options import MEASUREMENT, complete_names, folder, option
 from rlbench.cli.selection import find_images, read_rows
 from rlbench.cli.verbosity import note
@@ -58,6 +59,8 @@ def report(
             value="FOLDERS",
         ),
     ] = None,
+    gbuffer_ms: options.GbufferMs = None,
+    plugin: options.Plugins = None,
     as_json: options.Json = False,
 ) -> None:
     """Write reports from the results: tables and plots.
@@ -76,8 +79,12 @@ def report(
       rlbench report zooms --methods ours,ntas --spp 4
       rlbench report real --results results/real --against results,results/unseen
     """
+    load_plugins(plugin)
+    from reports.analysis.rows import charge_gbuffer
+
     writers, target = _find_writers(name), out or results / "report"
-    rows, names = read_rows(results, methods), split_names(methods)
+    rows = charge_gbuffer(read_rows(results, methods), gbuffer_ms)
+    names = split_names(methods)
     others = _read_others(name, [Path(each) for each in split_names(against)])
     check_writable(target)
     output = ReportOutput()

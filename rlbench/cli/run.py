@@ -7,10 +7,10 @@ from typing import Annotated, Literal
 
 import typer
 
-from rlbench.cli import options
+from rlbench.cli import config_file, options
 from rlbench.cli.arguments import Seeds, WeightsChoice, parse_seeds, split_names
 from rlbench.cli.methods import expand_methods, load_plugins, load_rows, warn_without_networks
-from rlbench.cli.options import MEASUREMENT, METHODS, OUTPUT, flag, folder, option
+from rlbench.cli.options import EXECUTION, MEASUREMENT, METHODS, OUTPUT, flag, folder, option
 from rlbench.cli.verbosity import note
 from rlbench.errors import OptionError
 from rlbench.system.process_settings import wait_asleep
@@ -86,6 +86,19 @@ def run(
     device: options.Device = "auto",
     engine: options.Engine = "local",
     ray_address: options.RayAddress = None,
+    config: Annotated[
+        Path | None,
+        option(
+            EXECUTION,
+            "options from a TOML file, such as the run.toml that every run writes into --out; "
+            "those on the command line win",
+            value="FILE",
+            exists=True,
+            dir_okay=False,
+            is_eager=True,
+            callback=config_file.use,
+        ),
+    ] = None,
 ) -> None:
     """Score and time methods on clips, and add the results.
 
@@ -104,7 +117,9 @@ def run(
       rlbench run -m mine --plugin mine.py --clips my_renders/ --out mine
       rlbench run -m ours,mean --draws 4 --out draws
       rlbench run -m ours --scenes temple --pool live --out live
+      rlbench run -m ours,oidn --weights ours=runs/ours/ours.safetensors
       rlbench run -m ours --weights seed1=runs/seed1/ours/ours.safetensors
+      rlbench run --config results/run.toml --out again
       rlbench run -m ours,oidn --bf16
       rlbench run -m ours,oidn --backend openvino
       rlbench run -m eaw/still --spp 0.25 --skip-tiles
@@ -117,7 +132,7 @@ def run(
     if scores_only:
         wait_asleep()  # before a plugin imports torch
     names = _select_methods(context, plugin, methods)  # before torch
-    chosen = weights or WeightsChoice()
+    chosen = (weights or WeightsChoice()).for_methods(names)
     from rlbench.benchmark.api import plan_run
     from rlbench.benchmark.run_outcome import read_outcome
     from rlbench.benchmark.runner import check_times_alone, measure
@@ -142,6 +157,7 @@ def run(
             cost=cost,
             weights=chosen.file,
             weights_label=chosen.label,
+            weights_for=chosen.methods,
             bf16=bf16,
             backend=backend,
             skip_tiles=skip_tiles,
@@ -160,6 +176,7 @@ def run(
                 scores_only=scores_only,
                 keep_images=keep_images,
             )
+    config_file.write(context, out / "run.toml")
     outcome = read_outcome(plan, summary, out)
     if as_json:
         json_output.print_json(json_output.run_output(outcome))

@@ -9,9 +9,16 @@ from typing import Annotated
 import typer
 
 from rlbench.cli import options
-from rlbench.cli.arguments import PixelSize, PixelSizes, parse_sizes, split_names
+from rlbench.cli.arguments import (
+    PixelSize,
+    PixelSizes,
+    parse_positive,
+    parse_sizes,
+    split_names,
+)
 from rlbench.cli.methods import expand_methods, load_rows
-from rlbench.cli.options import MEASUREMENT, METHODS, flag, folder, option
+from rlbench.cli.options import MEASUREMENT, METHODS, file, flag, folder, option
+from rlbench.errors import OptionError
 
 __all__ = ["speed"]
 
@@ -44,6 +51,19 @@ def speed(
     repeats: options.Repeats = 10,
     device: options.Device = "auto",
     out: Annotated[Path, folder("folder of the table")] = Path("results/speed"),
+    as_cost: Annotated[
+        Path | None,
+        file("also write the times as a cost profile, for decide --cost; needs --sample-ms"),
+    ] = None,
+    sample_ms: Annotated[
+        float | None,
+        option(
+            MEASUREMENT,
+            "for --as-cost: your renderer's time for one sample of every pixel of the first size",
+            value="MS",
+            parse=parse_positive,
+        ),
+    ] = None,
 ) -> None:
     """Time methods by image size, backend and precision.
 
@@ -51,6 +71,7 @@ def speed(
     speed.md: times of the parts of inference, parameters, multiply-adds per pixel, their share of
     the machine's peak, bytes of state per pixel, and memory. A time that a busy machine spoiled has
     a note. A method that an error stopped is named with its reason, and the exit code is then 1.
+    --as-cost leaves out times with a note.
 
     Examples:
 
@@ -58,13 +79,24 @@ def speed(
       rlbench speed -m ours,oidn/tuned,oidn-intel
       rlbench speed -m ours,ntas --sizes 1080p --backend eager,openvino --bf16
       rlbench speed -m mine,oidn-intel --plugin mine.py --sizes 640x480
+      rlbench speed -m ours,svgf --device cuda --sizes 1080p --as-cost gpu.toml --sample-ms 4.2
     """
+    if (as_cost is None) != (sample_ms is None):
+        raise OptionError("--as-cost and --sample-ms need each other: a profile has both times")
     load_rows(context, plugin, split_names(methods) or ["all"])
     names = expand_methods(methods, pretrained_only=False, default="all")
     from rlbench import registry
     from rlbench.backends import EAGER, select_backend
     from rlbench.benchmark.api import check_precision, select_device
-    from rlbench.benchmark.speed import Configuration, failed_rows, measure_speed, write_speed
+    from rlbench.benchmark.cost import write_profile
+    from rlbench.benchmark.latency import device_name
+    from rlbench.benchmark.speed import (
+        Configuration,
+        failed_rows,
+        measure_speed,
+        profile_times,
+        write_speed,
+    )
     from rlbench.cli import console
     from rlbench.system.paths import check_writable
 
@@ -72,6 +104,8 @@ def speed(
     backends = [select_backend(name, target) for name in split_names(backend) or [EAGER]]
     check_precision(names, bf16, device)
     check_writable(out)
+    if as_cost:
+        check_writable(as_cost.parent)
     configurations = [
         Configuration(name, each, half)
         for name in names
@@ -80,8 +114,12 @@ def speed(
     ]
     with console.counting("timing", len(configurations) * len(sizes)) as advance:
         table = measure_speed(configurations, sizes, target, repeats, advance)
-    for file in write_speed(table, target, out):
-        typer.echo(file)
+    for each in write_speed(table, target, out):
+        typer.echo(each)
+    if as_cost and sample_ms:
+        times = profile_times(table)
+        write_profile(as_cost, device_name(target), sizes[0], sample_ms, times)
+        typer.echo(as_cost)
     if failures := failed_rows(table):
         for name, reason in failures.items():
             typer.echo(f"{name} has no times: {reason}", err=True)

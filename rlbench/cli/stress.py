@@ -8,7 +8,7 @@ from typing import Annotated
 import typer
 
 from rlbench.cli import options
-from rlbench.cli.arguments import split_names
+from rlbench.cli.arguments import WeightsChoice, split_names
 from rlbench.cli.methods import load_rows
 from rlbench.cli.options import EXECUTION, flag, folder, option
 
@@ -26,6 +26,7 @@ def stress(
         bool, flag(None, "--quick", "shorter clips and fewer tests, seconds per method")
     ] = False,
     plugin: options.Plugins = None,
+    weights: options.Weights = None,
     device: options.Device = "cpu",
     restart: Annotated[
         bool, flag(EXECUTION, "--restart", "run again what the output folder holds")
@@ -37,9 +38,9 @@ def stress(
     """Stress-test methods, with a verdict per test.
 
     It tests numerical stability: a test passes, is degraded or fails, by a figure and two limits.
-    Learned methods run with their shipped weights; rows without any are skipped. Results are stored
-    per method and section, and reused while code and weights are the same. The exit code is 1 if a
-    test failed.
+    Learned methods run with their shipped weights, or --weights; rows without any are skipped.
+    Results are stored per method and section, and reused while code and weights are the same. The
+    exit code is 1 if a test failed.
 
     Without --methods, every row that does not borrow the weights of another is tested. Sections of
     the suite itself (allocation, metrics, gradients) run without --methods or if --only names them.
@@ -53,6 +54,7 @@ def stress(
       rlbench stress
       rlbench stress -m ours,svgf --only bad-pixel
       rlbench stress -m mine --plugin mine.py --quick
+      rlbench stress -m ours --weights ours=runs/ours/ours.safetensors
     """
     names = split_names(methods)
     load_rows(context, plugin, names or ["all"])
@@ -62,5 +64,8 @@ def stress(
 
     target = select_device(device)
     check_writable(out)
-    has_passed = stress_methods(names, split_names(only), quick, target, out, restart)
+    chosen = weights or WeightsChoice()
+    has_passed = stress_methods(
+        names, split_names(only), quick, target, out, restart, weights=chosen.files_of
+    )
     raise typer.Exit(0 if has_passed else 1)

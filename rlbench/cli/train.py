@@ -245,8 +245,17 @@ def train(
         folder = runs.folder(name, holdout)
         if restart and (archived := archive_run(folder)):
             typer.echo(f"{name}: the old run is now in {archived}")
-        runs.train(name, split, holdout)
+        weights = runs.train(name, split, holdout)
         typer.echo(f"{name}: {folder}")
+        _name_next_command(name, weights, plugin)
+
+
+def _name_next_command(name: str, weights: Path, plugin: list[Path] | None) -> None:
+    """Say how the trained weights are scored; nothing if the training was stopped before any."""
+    if weights.is_file():
+        plugins = [word for file in plugin or () for word in ("--plugin", str(file))]
+        words = ["rlbench", "run", "-m", name, "--weights", f"{name}={weights}", *plugins]
+        note(f"score it: {shlex.join(words)}")
 
 
 def _mix_share(

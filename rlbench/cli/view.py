@@ -35,6 +35,7 @@ def view(
         ),
     ] = 20.0,
     plugin: options.Plugins = None,
+    gbuffer_ms: options.GbufferMs = None,
 ) -> None:
     """Write one page to look at the results; it needs no network.
 
@@ -50,11 +51,12 @@ def view(
     """
     load_plugins(plugin)
     import reports.viewer
+    from reports.analysis.rows import charge_gbuffer
     from rlbench.system.paths import check_writable
 
     target = out or results / "report.html"
     check_writable(target.parent)
-    rows = read_rows(results, methods, scenes)
+    rows = charge_gbuffer(read_rows(results, methods, scenes), gbuffer_ms)
     found, reason = find_images(results, rows, clips, spp)
     remarks = [f"the page has decision and table alone: {reason}"] if reason else []
     traits = {name: describe_traits(name) for name in sorted(set(rows["method"]))}

@@ -2,7 +2,8 @@
 
 Plugins come from three places: entry points of installed packages (`rlbench.methods` and so on),
 the variable RLBENCH_METHODS="name=module:FAMILY,...", and plugin files given with
-`--plugin path.py`, which define `FAMILY` or a list `METHODS` of families. In a plugin file
+`--plugin path.py`, which define `FAMILY` or a list `METHODS` of families, and `METRIC` or a list
+`METRICS`. In a plugin file
 `my_method.py`, `build="my_method:build"` names its own function, even if an installed module is
 also called `my_method`.
 
@@ -32,6 +33,7 @@ from rlbench.registry.plugin_files import (
     PluginEntry,
     file_entries,
     import_file,
+    metric_entries,
     plugin_file,
     plugin_files,
     python_file,
@@ -76,6 +78,8 @@ def list_entries(group: str) -> dict[str, PluginEntry]:
     if group == "methods":
         candidates += _variable_entries(os.environ.get(METHODS_VARIABLE, ""))
         candidates += [entry for file in plugin_files() for entry in file_entries(file)]
+    if group == "metrics":
+        candidates += [entry for file in plugin_files() for entry in metric_entries(file)]
     by_name: dict[str, PluginEntry] = {}
     for entry in candidates:
         first = by_name.setdefault(entry.name, entry)

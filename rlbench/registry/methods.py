@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Collection, Iterable, Iterator
 from contextlib import contextmanager
 from hashlib import sha256
 from pathlib import Path
@@ -32,6 +32,7 @@ __all__ = [
     "is_trainable",
     "load_method",
     "method_code_hash",
+    "metrics_code_hash",
     "shipped_weights",
     "training_task",
     "untrainable_reason",
@@ -130,6 +131,19 @@ def method_code_hash(method: str) -> str:
     except LookupError:
         return ""
     return sha256(imports.encode() + file.read_bytes()).hexdigest()[:16]
+
+
+def metrics_code_hash(names: Iterable[str], core: Collection[str]) -> str:
+    """Hash of what defines these metrics, of what this imports, and of the modules `core`."""
+    known = list_entries("metrics")
+    defining = sorted({known[name].target.partition(":")[0] for name in names})
+    files = [file for module in defining if (file := plugin_file(module))]
+    modules = set[str]().union(
+        *(code_hash.import_closure(each) for each in defining if not plugin_file(each)),
+        *(code_hash.closure_of_file(file, ["metrics"]) for file in files),
+    )
+    own = "".join(sha256(file.read_bytes()).hexdigest()[:16] for file in files)
+    return code_hash.code_hash(modules, core=core) + own
 
 
 def _method_packages() -> set[str]:

@@ -1,4 +1,4 @@
-"""Plugin files: Python files and packages given with `--plugin`, which define method families."""
+"""Plugin files: Python files and packages given with `--plugin`, with methods and metrics."""
 
 from __future__ import annotations
 
@@ -21,6 +21,7 @@ __all__ = [
     "clear_plugins",
     "file_entries",
     "import_file",
+    "metric_entries",
     "plugin_file",
     "plugin_file_methods",
     "plugin_files",
@@ -43,7 +44,7 @@ class PluginEntry:
 
 
 def use_plugin(path: str | Path) -> None:
-    """Add the families of a plugin file; it is imported when methods are next looked up.
+    """Add the methods and metrics of a plugin file, which is imported when they are looked up.
 
     The folder of a package stands for its `__init__.py`. Raises PluginError for a missing file, one
     that does not parse, and for two files of one name.
@@ -110,9 +111,12 @@ def file_entries(file: Path) -> list[PluginEntry]:
     try:
         module = import_file(file)
         families = getattr(module, "METHODS", None) or [getattr(module, "FAMILY", None)]
+        if None in families and _metrics_of(module):
+            return []
         if None in families:
             raise PluginError(
-                f"{file.name} has neither FAMILY nor METHODS; see docs/how-to/add-a-method.md"
+                f"{file.name} has none of FAMILY, METHODS, METRIC and METRICS; see "
+                "docs/how-to/add-a-method.md and add-a-metric.md"
             )
         if others := [type(item).__name__ for item in families if not hasattr(item, "variants")]:
             raise PluginError(
@@ -122,6 +126,28 @@ def file_entries(file: Path) -> list[PluginEntry]:
     except Exception as error:  # the plugin is listed, and raises this error when it is loaded
         return [PluginEntry(name, str(file), origin, partial(_raise, error))]
     return [PluginEntry(f.name, f"{file}:{f.name}", origin, partial(_same, f)) for f in families]
+
+
+def metric_entries(file: Path) -> list[PluginEntry]:
+    """The metrics that a file defines; none if it cannot be imported, as `file_entries` says."""
+    module_name, origin = _module_name(file), f"--plugin {_label(file)}"
+    try:
+        metrics = _metrics_of(import_file(file))
+    except Exception:  # third-party code may raise anything
+        return []
+    if others := [type(item).__name__ for item in metrics if not hasattr(item, "score")]:
+        raise PluginError(
+            f"{file.name} defines an object of type {others[0]} as a metric; a Metric is "
+            "expected, see docs/how-to/add-a-metric.md"
+        )
+    return [
+        PluginEntry(m.name, f"{module_name}:{m.name}", origin, partial(_same, m)) for m in metrics
+    ]
+
+
+def _metrics_of(module: Any) -> list[Any]:
+    own = getattr(module, "METRIC", None)
+    return [*(getattr(module, "METRICS", None) or ()), *([own] if own is not None else ())]
 
 
 def plugin_file_methods() -> list[str]:
@@ -153,5 +179,5 @@ def _raise(error: Exception) -> Any:
     raise error
 
 
-def _same(family: Any) -> Any:
-    return family
+def _same(plugin: Any) -> Any:
+    return plugin

@@ -11,14 +11,17 @@ import torch
 from typer.testing import CliRunner
 
 from rlbench import registry
+from rlbench.benchmark.cost import profile, write_profile
 from rlbench.benchmark.speed import (
     COLUMNS,
     Configuration,
     count_multiply_adds,
     measure_speed,
+    profile_times,
     speed_page,
 )
 from rlbench.cli.app import app
+from rlbench.errors import RlbenchError
 from rlbench.ops.unet_widths import BASE_WIDTHS
 from rlbench.weights import read_card
 
@@ -117,3 +120,16 @@ def test_the_command_writes_both_files_and_names_them(tmp_path: Path):
     assert result.exit_code == 0, result.output
     assert str(out / "speed.md") in result.output
     assert set(pd.read_csv(out / "speed.csv").width) == {32, 16}
+
+
+def test_sound_times_become_a_cost_profile(tmp_path):
+    rows = [("ours", 1080, 1920, 3.5, ""), ("oidn/tuned", 1080, 1920, 2.0, "unreliable: busy")]
+    table = pd.DataFrame(rows, columns=["method", "height", "width", "inference_ms", "note"])
+    file = tmp_path / "gpu.toml"
+    write_profile(file, "GPU", (1080, 1920), 4.0, profile_times(table))
+    found = profile(str(file))
+    assert found.inference("ours", 1080, 1920).ms == 3.5
+    assert found.inference("oidn/tuned", 1080, 1920) is None
+    assert found.sample("any", 1080, 1920).ms == 4.0
+    with pytest.raises(RlbenchError, match="busy"):
+        profile_times(table[1:])

@@ -14,6 +14,7 @@ import pytest
 
 from rlbench.benchmark import results as table
 from rlbench.benchmark.results import Row
+from rlbench.registry import shipped_weights
 from tests.cli.runner import CHECKOUT, ENVIRONMENT, python, rlbench
 from tests.conftest import write_noise, write_plugin
 
@@ -268,3 +269,50 @@ def test_a_killed_run_resumes_and_ends_as_an_undisturbed_one(tmp_path):
     assert "0 skipped" in output
     python(*words("undisturbed"))
     assert scores(tmp_path / "killed") == scores(tmp_path / "undisturbed")
+
+
+METRIC = """from metrics.metric import Metric
+
+
+def score(frame):
+    return (frame.image - frame.reference).abs().flatten(1).amax(1)
+
+
+METRIC = Metric("worst_pixel", "", "lower", "linear", score)
+"""
+
+
+def test_a_metric_in_one_file_is_scored_by_run_and_evaluate(run_mean, tmp_path):
+    file = tmp_path / "worst.py"
+    file.write_text(METRIC)
+    words = ("--plugin", file)
+    rlbench(*run_mean, *words, "--keep-images")
+    rows = table.read(tmp_path / "r").query("metric == 'worst_pixel'")
+    assert rows["value"].gt(0).all()
+    clips = ("--clips", run_mean[run_mean.index("--clips") + 1], "--out", tmp_path / "e")
+    rlbench("evaluate", tmp_path / "r", "--metrics", "worst_pixel", *clips, *words)
+    again = table.read(tmp_path / "e").query("metric == 'worst_pixel'")
+    assert sorted(again["value"]) == pytest.approx(sorted(rows["value"]), rel=1e-3)  # half
+    file.write_text(METRIC.replace("amax(1)", "amax(1) * 2"))
+    other = python("-m", "rlbench", *map(str, (*run_mean, *words)))
+    assert "nothing to do" not in other  # its code decides whether a cell is current
+
+
+def test_a_run_writes_its_options_and_another_reads_them(run_mean, tmp_path):
+    rlbench(*run_mean, "--spp", 1, "--limit-frames", 1)
+    config = tmp_path / "r" / "run.toml"
+    assert "limit-frames = 1" in config.read_text()
+    words = ("run", "--config", config, "--out", tmp_path / "r")
+    assert "nothing to do: all 1 cells" in rlbench(*words)
+    assert "2 cells measured" in rlbench(*words, "--spp", "2,4")  # the command line wins
+    config.write_text("methodes = 'mean'\n")
+    assert "no option 'methodes'. Did you mean 'methods'?" in rlbench(*words, code=2)
+
+
+def test_weights_of_one_method_are_not_given_to_others(clip_folder, tmp_path):
+    file = shipped_weights("ours/A1")
+    words = ("--clips", clip_folder, "--spp", 1, "--out", tmp_path / "r", "--scores-only")
+    rlbench("run", "-m", "ours/A1,oidn/tuned", "--weights", f"ours/A1={file}", *words)
+    assert set(table.read(tmp_path / "r")["method"]) == {"ours/A1@A1", "oidn/tuned"}
+    output = rlbench("run", "-m", "ours", "--weights", f"ours/A1={file}", *words, code=2)
+    assert "ours/A1 is none of the methods" in output

@@ -20,6 +20,7 @@ class Formula:
     by_scene: float = 0.0  # dB that are added in one scene and missing in the other
     sample_ms: float = 2.0
     budgets: tuple[float, ...] = BUDGETS
+    gbuffer_ms: float = 0.0
 
     def score(self, spp):
         return self.at_1_spp + self.per_doubling * np.log2(spp)
@@ -51,7 +52,11 @@ def _cell(name, scene, spp, value, formula, size, device):
 
     plan, denoise = 0.25 * formula.fixed_ms, 0.75 * formula.fixed_ms
     times = {"plan_ms": plan, "denoise_ms": denoise, "inference_p95_ms": 2 * formula.fixed_ms}
-    times |= {"gbuffer_ms": 0.0, "allocate_ms": 0.0, "sampling_ms": spp * formula.sample_ms}
+    times |= {
+        "gbuffer_ms": formula.gbuffer_ms,
+        "allocate_ms": 0.0,
+        "sampling_ms": spp * formula.sample_ms,
+    }
     return [
         *(row(frame, "psnr", value, "dB", "higher", "peak 1") for frame in range(2)),
         *(row(-1, metric, ms, "ms", "lower", "median") for metric, ms in times.items()),

@@ -10,8 +10,9 @@ import pandas as pd
 import pytest
 
 from reports.analysis.rows import ReportError
-from reports.decide import decide, decision_text
-from rlbench.benchmark.results import UNRELIABLE
+from reports.decide import GivenTimes, decide
+from reports.decision_text import decision_text
+from rlbench.benchmark.results import TWO_DEVICES, UNRELIABLE
 from tests.reports.formula_results import THREE, Formula, table
 
 
@@ -58,7 +59,7 @@ def test_a_low_error_wins_where_low_is_better():
 
 
 def test_questions_without_an_answer_are_refused_with_what_there_is():
-    with pytest.raises(ReportError, match="the cheapest, cheap at 1 spp, needs 3 ms"):
+    with pytest.raises(ReportError, match="times of CPU, 2 threads at 192x192.*cheap at 1 spp"):
         decide(table(THREE), sample_ms=2.0, frame_ms=2.5)
     with pytest.raises(ReportError, match="'flip' was requested.*metrics that do: psnr"):
         decide(table(THREE), 1.0, 20.0, metric="flip")
@@ -79,7 +80,7 @@ def test_one_of_several_devices_has_to_be_named():
 def test_the_text_states_device_size_and_what_would_change_the_answer():
     text = decision_text(decide(table(THREE), 2.0, 11.0))
     assert text.startswith("middle at 3 spp: PSNR 27.58 dB [")
-    assert "in 11 of 11 ms (5 inference + 6 sampling)" in text
+    assert "in 11 of 11 ms (0 G-buffer + 5 inference + 6 sampling)" in text
     assert "Runner-up: cheap at 4 spp: " in text
     assert "measured on CPU, 2 threads, at 192x192" in text
     assert "cheap wins where a sample costs above 6 ms" in text
@@ -87,22 +88,55 @@ def test_the_text_states_device_size_and_what_would_change_the_answer():
     assert "Warning" not in text
 
 
-def test_times_of_two_devices_are_warned_about():
-    decision = decide(table(THREE), 2.0, 11.0)
-    assert "Warning" in decision_text(decision, sample_device="RTX 4090")
-    assert "Warning" not in decision_text(decision, sample_device="CPU, 2 threads")
-    far = decision_text(decide(table(THREE), 0.5, 11.0))
-    assert "these results charge 2 ms for a sample (path tracer, measured here)" in far
+def test_times_of_two_devices_are_said_in_the_first_line():
+    rows = table(THREE)
+    assert "Warning" not in decision_text(decide(rows, 2.0, 11.0))
+    frame = rows.iloc[:1].assign(
+        metric="frame_ms", note=f"{TWO_DEVICES} inference of CPU, samples of RTX 4090"
+    )
+    mixed = decision_text(decide(pd.concat([rows, frame]), 2.0, 11.0))
+    assert "two devices: inference of CPU, samples of RTX 4090" in mixed.splitlines()[0]
+    far = decision_text(decide(rows, 0.5, 11.0))
+    assert "a sample takes 2 ms (path tracer, measured here)" in far.splitlines()[0]
+
+
+def test_a_gbuffer_costs_as_many_samples_as_measured_or_what_is_given():
+    rows = table({"a": Formula(20.0, 1.0, 5.0, gbuffer_ms=3.0)})  # 1.5 samples of 2 ms
+    (scaled,) = decide(rows, 4.0, 100.0).candidates
+    assert (scaled.gbuffer_ms, scaled.frame_ms) == (pytest.approx(6.0), pytest.approx(6 + 5 + 16))
+    (given,) = decide(rows, 4.0, 100.0, gbuffer_ms=1.0).candidates
+    assert (given.gbuffer_ms, given.frame_ms) == (pytest.approx(1.0), pytest.approx(1 + 5 + 16))
+
+
+def test_raw_samples_never_win_and_are_named():
+    methods = {"mean": Formula(30.0, 1.0, 0.0), "cheap": THREE["cheap"]}
+    decision = decide(table(methods), 2.0, 11.0)
+    assert [each.method for each in decision.candidates] == ["cheap"]
+    assert decision.undenoised.value.mean == pytest.approx(32.0)
+    assert "Without a denoiser, mean at 4 spp has 32.00 dB in 8 ms" in decision_text(decision)
+    with pytest.raises(ReportError, match=r"no denoiser.*Without a denoiser, mean at 1.*as-cost"):
+        decide(table(methods), 2.0, 2.5)
+
+
+def test_times_of_a_cost_profile_replace_those_of_the_results():
+    gpu = GivenTimes("RTX 4090", "1920x1080", "bench", 1.0, {"middle": 2.0, "slow": 9.0})
+    decision = decide(table(THREE), 1.0, 6.0, given=gpu)
+    (winner,) = decision.candidates
+    assert (winner.method, winner.spp, winner.inference_ms) == ("middle", 4.0, pytest.approx(2.0))
+    assert "cheap has no time in the cost profile" in decision.notes
+    text = decision_text(decision)
+    assert "measured on RTX 4090, at 1920x1080" in text
+    assert "Warning" not in text
 
 
 def test_notes_on_times_and_a_winner_at_its_largest_budget_are_passed_on():
     rows = table(THREE)
     is_time = (rows["metric"] == "plan_ms") & (rows["method"] == "slow")
     decision = decide(rows.assign(note=is_time.map({True: "odd", False: ""})), 0.1, 8.0)
-    text = decision_text(decision)
+    text = decision_text(decision, "rlbench run -m middle")
     assert "slow, plan_ms: odd" in text
     assert "4 spp is its largest measured budget" in text
-    assert "rlbench run -m middle --spp 8" in text
+    assert "Measure it: rlbench run -m middle\n" in text
 
 
 def doubt(rows, *methods):
@@ -120,7 +154,7 @@ def test_a_method_with_unreliable_times_wins_only_where_that_is_allowed_and_mark
     allowed = decide(rows, sample_ms=2.0, frame_ms=11.0, allow_unreliable=True)
     assert [each.method for each in allowed.candidates] == ["middle", "cheap"]
     assert [each.is_unreliable for each in allowed.candidates] == [True, False]
-    assert "of 11 ms? (5 inference" in decision_text(allowed)
+    assert "of 11 ms? (0 G-buffer + 5 inference" in decision_text(allowed)
 
 
 def test_results_whose_times_are_all_unreliable_are_refused():

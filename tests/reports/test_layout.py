@@ -31,7 +31,8 @@ WIDE = Table(
 
 def test_special_characters_are_escaped():
     text = to_latex(Table("50 % of a_b", "x & y", ("m", "v"), (("a_b", Bold("1")),)))
-    assert r"\caption{50 \% of a\_b. x \& y}" in text
+    assert r"\caption{50 \% of a\_b.}" in text
+    assert r"\footnotesize x \& y}" in text
     assert r"a\_b & \bfseries 1 \\" in text
     assert "| a\\|b | **1** |" in to_markdown(Table("t", "c", ("m", "v"), (("a|b", Bold("1")),)))
 
@@ -41,6 +42,12 @@ def test_numbers_are_aligned_at_the_decimal_point_and_their_intervals_beside_the
     assert r"\begin{tabular}{lS[table-format=2.2]@{\,}l}" in text
     assert r"m & \multicolumn{2}{c}{1 spp} \\" in text
     assert r"a & 9.25 & {\scriptsize [-1.00, 0.10] not resolved} \\" in text
+
+
+def test_what_is_no_interval_of_a_number_has_a_heading_of_its_own():
+    text = to_latex(Table("t", "+-1", ("m", "1 spp"), (("a", CELLS[1]),), beside="difference"))
+    assert r"m & {1 spp} & {\scriptsize difference} \\" in text
+    assert r"$\pm$1" in text
 
 
 def test_a_wide_table_is_split_by_columns_and_a_long_one_by_rows():

@@ -49,6 +49,13 @@ def test_a_cell_is_hatched_where_the_interval_includes_zero():
     assert not cells.is_open[is_c].any()
 
 
+def test_raw_samples_win_no_cell():
+    rows = table({"mean": Formula(40, 1, 0.0), **THREE})
+    figures = winners._figures(Scores(rows))
+    cells = figures[""][1]
+    assert set(cells["method"]) == set(THREE)
+
+
 def test_a_single_clip_separates_nothing():
     cells = winners.map_winners(curves_of(Scores(table(THREE, scenes=("city",)))))
     assert cells.is_open[cells.runner_up >= 0].all()
@@ -75,7 +82,7 @@ def test_colours_are_those_of_the_pareto_plot():
 def test_regions_are_named_in_place_and_in_the_key(three):
     figure = draw_winner_map(three, "caption", 2.0)
     texts = {text.get_text() for text in figure.axes[0].texts}
-    assert {"slow", "no method fits", "60 Hz", "cost in these results"} <= texts
+    assert {"slow", "no denoiser fits", "60 Hz", "cost in these results"} <= texts
     key = {text.get_text() for text in figure.legends[0].get_texts()}
     assert set(THREE) <= key
 

@@ -1,4 +1,4 @@
-// Which method gives the least error in a frame time: reports/analysis/curves.py and decision.py in
+// Which denoiser gives the least error in a frame time: reports/analysis/curves.py and decide.py in
 // the page, so that sliders answer at once.
 
 const TINY = 1e-9; // stands for a budget of 0 spp, whose logarithm would be infinite
@@ -6,7 +6,8 @@ const logs = (spp) => Math.log(Math.max(spp, TINY));
 
 /** Frame time at each measured budget, ms. */
 export function frameTimes(curve, sampleMs) {
-  return curve.fixed_ms.map((fixed, i) => fixed + curve.samples[i] * sampleMs);
+  const gbuffer = curve.gbuffer_ms + curve.gbuffer_samples * sampleMs;
+  return curve.fixed_ms.map((fixed, i) => gbuffer + fixed + curve.samples[i] * sampleMs);
 }
 
 /** Frame time at any budget between the smallest and the largest measured one; NaN outside. */
@@ -71,10 +72,10 @@ export function reliable(curve) {
   return { ...curve, spp, units, fixed_ms, samples, unreliable: spp.map(() => false) };
 }
 
-/** Every method that fits the deadline at its best reliable budget, the best first. */
+/** Every denoiser that fits the deadline at its best reliable budget, the best first. */
 export function rank(curves, sampleMs, deadline, { sign, unit, student, tie }) {
   const fitting = curves.flatMap((each) => {
-    const curve = reliable(each);
+    const curve = each.competes && reliable(each);
     if (!curve) return [];
     const spp = bestSpp(curve, sampleMs, deadline, sign);
     if (Number.isNaN(spp)) return [];

@@ -28,11 +28,12 @@ export function drawCurves({ curves, metric, ranked, look }) {
       log: true,
       label: "frame time [ms]",
     },
-    y: { from, to, label: `${metric.metric}${metric.unit ? ` [${metric.unit}]` : ""}` },
+    y: { from, to, label: `${metric.title}${metric.unit ? ` [${metric.unit}]` : ""}` },
   });
   for (const [time, text] of [...MARKS, [state.deadline, "deadline"]]) {
     const isChosen = text === "deadline";
-    if (time > Math.max(...times, state.deadline) * 1.3) continue;
+    const isNearEdge = px(time) < box.left + 48; // a label at its left would be cut
+    if (time > Math.max(...times, state.deadline) * 1.3 || time < least / 1.3) continue;
     plot.append(
       s("line", {
         class: isChosen ? "deadline" : "mark",
@@ -45,9 +46,9 @@ export function drawCurves({ curves, metric, ranked, look }) {
         "text",
         {
           class: "mark-text",
-          x: px(time) - 4,
+          x: px(time) + (isNearEdge ? 4 : -4),
           y: isChosen ? box.bottom - 22 : box.bottom - 6,
-          "text-anchor": "end",
+          "text-anchor": isNearEdge ? "start" : "end",
         },
         text,
       ),

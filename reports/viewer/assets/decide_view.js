@@ -23,9 +23,11 @@ export function firstQuestion() {
 }
 
 function cheapest(curves, sampleMs) {
-  const points = curves.flatMap((curve) =>
-    frameTimes(curve, sampleMs).map((time, i) => ({ time, curve, spp: curve.spp[i] })),
-  );
+  const points = curves
+    .filter((each) => each.competes)
+    .flatMap((curve) =>
+      frameTimes(curve, sampleMs).map((time, i) => ({ time, curve, spp: curve.spp[i] })),
+    );
   return points.reduce((least, point) => (point.time < least.time ? point : least));
 }
 
@@ -71,7 +73,7 @@ export function decideView() {
     ),
     select(
       "score",
-      () => device().decide.map((each) => [each.metric, each.metric]),
+      () => device().decide.map((each) => [each.metric, each.title]),
       () => metric().metric,
       (value) => set({ metric: value }),
     ),
@@ -122,8 +124,9 @@ export function decideView() {
     );
     ranking.replaceChildren(tabulate(ranked));
     notes.textContent = [
-      `${metric().metric}: ${metric().convention}.`,
-      `Frame time: inference on ${device().name || "an unnamed device"} + drawn samples x cost of a sample (measured: ${short(scope().sample_ms)} ms, ${metric().cost_source || "no source"}).`,
+      `${metric().title}: ${metric().convention}.`,
+      ...metric().device_mixes.map((each) => `Two devices: ${each}.`),
+      `Frame time: ${gbufferText()} + inference on ${device().name || "an unnamed device"} + drawn samples x cost of a sample (measured: ${short(scope().sample_ms)} ms, ${metric().cost_source || "no source"}).`,
       `Intervals: 95 %, Student's t over ${scope().unit}. Between measured budgets scores are linear in log spp; none is extrapolated.`,
       doubts(scope().curves),
       ...scope().missing.map((each) => `${each}.`),
@@ -135,6 +138,12 @@ export function decideView() {
 const unitText = () => (metric().unit ? ` ${metric().unit}` : "");
 const number = (value) => (metric().unit === "dB" ? value.toFixed(2) : short(value));
 const bracket = ({ low, high }) => (Number.isNaN(low) ? "" : ` [${number(low)}, ${number(high)}]`);
+function gbufferText() {
+  const reading = scope().curves.find((each) => each.gbuffer_ms || each.gbuffer_samples);
+  if (!reading) return "G-buffer (0 or not known: rlbench view --gbuffer-ms)";
+  if (reading.gbuffer_ms) return `G-buffer (${short(reading.gbuffer_ms)} ms)`;
+  return `G-buffer (${short(reading.gbuffer_samples)} samples, as measured; yours: rlbench view --gbuffer-ms)`;
+}
 function doubts(curves) {
   const names = curves.filter((each) => each.unreliable.some(Boolean)).map((each) => each.method);
   return names.length ? `Hollow: unreliable times of ${names.join(", ")}, which are not ranked.` : "";
@@ -145,8 +154,8 @@ function describe(ranked) {
   if (!ranked.length) {
     const { time, curve, spp } = cheapest(scope().curves, state.sample);
     return [
-      h("strong", {}, "No method fits. "),
-      `The cheapest, ${curve.method} at ${short(spp)} spp, needs ${short(time)} ms.`,
+      h("strong", {}, "No denoiser that was timed here fits. "),
+      `The cheapest, ${curve.method} at ${short(spp)} spp, needs ${short(time)} ms. These are times of ${device().name || "an unnamed device"}.`,
     ];
   }
   const [first, second] = ranked;
@@ -172,11 +181,11 @@ function describe(ranked) {
 
 function tabulate(ranked) {
   const look = lookOf(ranked);
-  const header = ["", "method", "spp", metric().metric, "to the winner", "frame ms", ""];
+  const header = ["", "method", "spp", metric().title, "to the winner", "frame ms", ""];
   return h(
     "table",
     { class: "ranking" },
-    h("caption", {}, "methods that fit"),
+    h("caption", {}, "denoisers that fit"),
     h(
       "thead",
       {},

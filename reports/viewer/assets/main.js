@@ -41,7 +41,8 @@ const tabs = available.map(([name, title]) =>
 );
 document.getElementById("tabs").append(...tabs);
 views.setAttribute("role", "tabpanel");
-document.getElementById("remarks").append(...remarks().map((text) => h("li", {}, text)));
+const rounding = h("li", {}, roundingText());
+document.getElementById("remarks").append(...data.remarks.map((text) => h("li", {}, text)), rounding);
 
 const help = document.getElementById("help");
 fillHelp(help);
@@ -61,6 +62,7 @@ function show(changed) {
     tab.setAttribute("aria-selected", String(isShown));
     tab.tabIndex = isShown ? 0 : -1;
   });
+  rounding.hidden = state.view in pages || !rounding.textContent;
   if (state.view in pages) {
     workspace?.play(false);
     if (entered !== state.view) views.replaceChildren(pages[state.view].element);
@@ -95,14 +97,10 @@ function arrange(mode) {
   if (mode === layers) layers.rangeOf(state.layer, () => MODES[state.view] === mode && put());
 }
 
-function remarks() {
+function roundingText() {
   const error = data.relative_error;
-  const rounding = error
-    ? [
-        `Images are rounded: a value is within ${(100 * error).toPrecision(2)} % (near black within ${(error / 128).toPrecision(1)} of display white).`,
-      ]
-    : [];
-  return [...data.remarks, ...rounding];
+  if (!error) return "";
+  return `Images are rounded: a value is within ${(100 * error).toPrecision(2)} % (near black within ${(error / 128).toPrecision(1)} of display white).`;
 }
 
 for (const tab of tabs) {

@@ -69,7 +69,7 @@ export const difference = (row) =>
 
 /** The rows as a table of texts, header first. */
 export function texts(shown) {
-  const title = `${metric().metric}${metric().unit ? ` [${metric().unit}]` : ""}`;
+  const title = `${metric().title}${metric().unit ? ` [${metric().unit}]` : ""}`;
   return [
     ["method", "spp", title, "to the best", "inference ms", "frame ms", "verdict"],
     ...shown.map((row) => [

@@ -47,7 +47,7 @@ export function tableView() {
     ),
     select(
       "score",
-      () => device().table.metrics.map((each) => [each.metric, each.metric]),
+      () => device().table.metrics.map((each) => [each.metric, each.title]),
       () => metric().metric,
       (value) => set({ metric: value }),
     ),
@@ -110,12 +110,12 @@ export function tableView() {
       h(
         "p",
         {},
-        `${metric().metric}: ${metric().convention}. Bars: 95 % interval of the paired difference to the best at its budget; ${data.unreliable_mark} a time is unreliable, measured on a busy machine; † not resolved after Holm's correction for the comparisons of its scene and budget.`,
+        `${metric().title}: ${metric().convention}. Bars: 95 % interval of the paired difference to the best at its budget; ${data.unreliable_mark} a time is unreliable, measured on a busy machine; † not resolved after Holm's correction for the comparisons of its scene and budget. Frame time: G-buffer + inference + samples.`,
       ),
       h(
         "details",
         { hidden: !device().table.notes.length },
-        h("summary", {}, `${device().table.notes.length} notes on the rows`),
+        h("summary", {}, `${device().table.notes.length} note${device().table.notes.length === 1 ? "" : "s"} on the rows`),
         h(
           "ul",
           {},
@@ -183,7 +183,7 @@ function draw(shown) {
   );
   return h(
     "table",
-    {},
+    { class: "results" },
     h("caption", {}, `${shown.length} rows`),
     h("thead", {}, h("tr", {}, head)),
     h("tbody", {}, body),

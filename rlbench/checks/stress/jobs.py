@@ -10,11 +10,12 @@ import json
 import logging
 import os
 import re
-from collections.abc import Iterator, Sequence
-from dataclasses import asdict, dataclass, field, replace
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from functools import lru_cache
 from hashlib import sha256
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any
 
 import torch
@@ -64,6 +65,7 @@ class StressJob:
     method: str  # name of the row, or "" for a section of the suite
     is_quick: bool
     device: str
+    weights: str | None = field(default=None, repr=False)  # a file in place of the shipped one
 
     @property
     def title(self) -> str:
@@ -82,13 +84,23 @@ class FinishedJob:
 
 
 def plan_jobs(
-    methods: Sequence[str], sections: Sequence[str], is_quick: bool, device: torch.device
+    methods: Sequence[str],
+    sections: Sequence[str],
+    is_quick: bool,
+    device: torch.device,
+    weights: Mapping[str, str] = MappingProxyType({}),
 ) -> list[StressJob]:
-    """The jobs of a run: sections of the suite first, then method by method."""
+    """The jobs of a run: sections of the suite first, then method by method.
+
+    `weights` are files by method, in place of the shipped ones.
+    """
     of_suite = [name for name in sections if is_for_suite(name)]
     pairs = [("", name) for name in of_suite]
     pairs += [(method, name) for method in methods for name in sections if name not in of_suite]
-    return [StressJob(section, method, is_quick, str(device)) for method, section in pairs]
+    return [
+        StressJob(section, method, is_quick, str(device), weights.get(method))
+        for method, section in pairs
+    ]
 
 
 def is_for_suite(section: str) -> bool:
@@ -155,7 +167,7 @@ class _SectionWork:
         return FinishedJob(job, tuple(results))
 
     def _run(self, job: StressJob) -> Iterator[CheckResult]:
-        if job.method and (reason := unavailable_reason(job.method)):
+        if job.method and (reason := unavailable_reason(job.method, job.weights)):
             yield not_applicable(RUN, reason)
             return
         section = load_section(job.section)
@@ -167,7 +179,7 @@ class _SectionWork:
     def _load(self, job: StressJob) -> StressedMethod:
         if self._method is None or self._method.name != job.method:
             self._method = None  # frees memory before the next one is loaded
-            self._method = load_stressed_method(job.method, torch.device(job.device))
+            self._method = load_stressed_method(job.method, torch.device(job.device), job.weights)
         return self._method
 
 
@@ -225,7 +237,7 @@ def _from_row(row: dict[str, Any]) -> CheckResult:
 
 def _file(folder: Path, job: StressJob) -> Path:
     """Two jobs never share a file, whatever characters their names have."""
-    key = sha256(repr(job).encode()).hexdigest()[:8]
+    key = sha256((repr(job) + (job.weights or "")).encode()).hexdigest()[:8]
     name = re.sub(r"[^\w.+-]", "-", f"{job.method or 'suite'}--{job.section}", flags=re.ASCII)
     return folder / "jobs" / f"{name}-{key}.json"
 
@@ -234,9 +246,9 @@ def content_hash(job: StressJob) -> str:
     """Hash of a job's section, method, code, weights and versions of packages."""
     module = list_sections()[job.section].partition(":")[0]
     content = (
-        *(*asdict(job).values(), provenance.versions()),
+        *(job.section, job.method, job.is_quick, job.device, provenance.versions()),
         _section_code(module),
-        *(_method_content(job.method) if job.method else (_metrics_code(),)),
+        *(_method_content(job.method, job.weights) if job.method else (_metrics_code(),)),
     )
     return sha256(repr(content).encode()).hexdigest()[:HASH_LENGTH]
 
@@ -246,17 +258,16 @@ def _section_code(module: str) -> str:
     return code_hash.code_hash(code_hash.import_closure(module), core=(*code_hash.CORE, *FRAME))
 
 
-def _method_content(name: str) -> tuple[str, ...]:
+def _method_content(name: str, file: str | None) -> tuple[str, ...]:
     """Hashes of a method's code and weights, and versions of the packages that it requires."""
     variant, weights = registry.get_variant(name), ""
-    if variant.learned and (file := registry.shipped_weights(name)).is_file():
-        weights = sha256(file.read_bytes()).hexdigest()
+    path = Path(file) if file else registry.shipped_weights(name) if variant.learned else None
+    if path and path.is_file():
+        weights = sha256(path.read_bytes()).hexdigest()
     return registry.method_code_hash(name), weights, provenance.package_versions(variant.requires)
 
 
 @lru_cache(maxsize=1)
 def _metrics_code() -> str:
     """Hash of the installed metrics, which sections of the suite may call."""
-    entries = registry.list_entries("metrics").values()
-    closures = [code_hash.import_closure(entry.target.partition(":")[0]) for entry in entries]
-    return code_hash.code_hash(set().union(*closures), core=())
+    return registry.metrics_code_hash(registry.list_plugins("metrics"), ())

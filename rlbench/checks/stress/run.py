@@ -5,7 +5,7 @@ from __future__ import annotations
 import csv
 import sys
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -55,14 +55,16 @@ def stress_methods(
     out: Path,
     is_restart: bool = False,
     executor: Executor | None = None,
+    weights: Callable[[Sequence[str]], Mapping[str, str]] = lambda names: {},
 ) -> bool:
     """Run sections on the selected methods, print the results and write them to `out`.
 
     No pattern selects all pretrained rows that have weights of their own or none, no section all
-    sections; with patterns, those of the suite run only if they are named. Returns False if a test
-    failed, or if `all` left out a family that cannot be imported. Raises PluginError for an unknown
-    method, OptionError for an unknown section, and FolderInUseError where another process writes to
-    `out`.
+    sections; with patterns, those of the suite run only if they are named.
+    `weights` gives a file for those of the selected methods that do not take their shipped one.
+    Returns False if a test failed, or if `all` left out a family that cannot be imported. Raises
+    PluginError for an unknown method, OptionError for an unknown section, and FolderInUseError
+    where another process writes to `out`.
     """
     broken: list[str] = []
     rows_of = ["all/*" if pattern == "all" else pattern for pattern in patterns or ["all"]]
@@ -72,7 +74,7 @@ def stress_methods(
     selected = select_sections(sections)
     if patterns and not sections:  # the question is about methods, not about the suite
         selected = [name for name in selected if not is_for_suite(name)]
-    jobs = plan_jobs(methods, selected, is_quick, device)
+    jobs = plan_jobs(methods, selected, is_quick, device, weights(methods))
     executor = executor or default_executor(device, len(jobs))
     console, finished_jobs = Console(), dict[StressJob, FinishedJob]()
     with locked_folder(out):

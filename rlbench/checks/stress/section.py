@@ -120,8 +120,8 @@ def report_exception(
     return failed(test, found, "" if says_what_to_do else remedy)
 
 
-def unavailable_reason(name: str) -> str | None:
-    """Why a method cannot be stressed on this machine, or None.
+def unavailable_reason(name: str, weights: str | None = None) -> str | None:
+    """Why a method cannot be stressed on this machine, with a file of weights or its own, or None.
 
     >>> unavailable_reason("mean") is None
     True
@@ -129,14 +129,16 @@ def unavailable_reason(name: str) -> str | None:
     variant = registry.get_variant(name)
     if missing := " ".join(provenance.missing_packages(variant.requires)):
         return f"needs {missing}, which is not installed: pip install {missing}"
-    if variant.learned and not registry.shipped_weights(name).is_file():
+    if variant.learned and not weights and not registry.shipped_weights(name).is_file():
         return "has no shipped weights, and random ones say nothing about its stability"
     return None
 
 
-def load_stressed_method(name: str, device: torch.device) -> StressedMethod:
-    """The method with its shipped weights. Raises any exception of its `build` function."""
-    return StressedMethod(name, CheckedReturns(registry.load_method(name, device)), device)
+def load_stressed_method(
+    name: str, device: torch.device, weights: str | None = None
+) -> StressedMethod:
+    """The method with these weights, or those it ships. Raises any exception of its `build`."""
+    return StressedMethod(name, CheckedReturns(registry.load_method(name, device, weights)), device)
 
 
 def list_sections() -> dict[str, str]:

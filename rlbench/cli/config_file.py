@@ -1,0 +1,69 @@
+"""The options of a command in a TOML file: read with --config, and written by every run.
+
+methods = ["ours", "ntas"]
+spp = [0.5, 1, 2, 4]
+keep-images = true
+"""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+from rlbench.cli.arguments import WeightsChoice
+from rlbench.errors import OptionError
+from rlbench.registry.near_names import unknown_name
+from rlbench.system import documents, paths
+
+__all__ = ["use", "write"]
+
+LEFT_OUT = ("config", "out")  # of the file that a run writes: they belong to one call
+
+
+def use(context: Any, file: Path | None) -> Path | None:
+    """Take the options of a file as defaults of the command. Raises OptionError for its keys."""
+    if file is None or context.resilient_parsing:
+        return file
+    known = {each.opts[0].removeprefix("--"): each for each in context.command.params}
+    values = documents.read_toml(file)
+    if unknown := [key for key in values if key not in known]:
+        problem = f"--config {file}: no option '{unknown[0]}'"
+        raise OptionError(unknown_name(problem, unknown[0], sorted(known)))
+    texts = {known[key].name: _as_words(value, known[key]) for key, value in values.items()}
+    context.default_map = {**(context.default_map or {}), **texts}
+    return file
+
+
+def _as_words(value: Any, parameter: Any) -> Any:
+    """A value as it would stand on the command line; a flag as it is."""
+    if isinstance(value, bool):
+        return value
+    items = value if isinstance(value, list) else [value]
+    return list(map(str, items)) if parameter.multiple else ",".join(map(str, items))
+
+
+def write(context: Any, file: Path) -> None:
+    """Write the options that this call was given, on its command line or in a file."""
+    lines = [
+        (each.opts[0].removeprefix("--"), context.params[each.name])
+        for each in context.command.params
+        if each.name not in LEFT_OUT and _is_given(context, each.name)
+    ]
+    text = "".join(f"{name} = {json.dumps(_as_toml(value))}\n" for name, value in lines)
+    file.parent.mkdir(parents=True, exist_ok=True)
+    with paths.atomic_write(file) as temporary:
+        temporary.write_text(text, encoding="utf-8")
+
+
+def _as_toml(value: Any) -> Any:
+    if isinstance(value, WeightsChoice):
+        return f"{value.label}={value.file}" if value.label else value.file
+    if isinstance(value, list | tuple):
+        return [_as_toml(each) for each in value]
+    return str(value) if isinstance(value, Path) else value
+
+
+def _is_given(context: Any, name: str) -> bool:
+    source = context.get_parameter_source(name)
+    return source is not None and source.name in ("COMMANDLINE", "DEFAULT_MAP", "ENVIRONMENT")
