@@ -90,7 +90,9 @@ def test_40_seeds_deal_every_card_of_a_pack_about_as_often_as_it_occurs(column, 
     ],
 )
 def test_every_plugin_occurs_in_20_seeds(kind):
-    parts = [part for s in make_scenes(20) for m in s.meshes for part in (*s.sky, m.material, m.emission)]
+    parts = [
+        part for s in make_scenes(20) for m in s.meshes for part in (*s.sky, m.material, m.emission)
+    ]
     assert kind in {name for part in parts for name in plugins(part)}
 
 
