@@ -83,13 +83,14 @@ def digest(path: Path) -> str:
         return hashlib.file_digest(file, "sha256").hexdigest()
 
 
-def save(module: nn.Module, path: Path, card: ModelCard) -> ModelCard:
-    """Write the weights of `module` to `path` with their model card; returns the completed card.
+def save(weights: nn.Module | Mapping[str, Tensor], path: Path, card: ModelCard) -> ModelCard:
+    """Write the weights of a module, or named ones, with their model card; returns it completed.
 
     Each of the two files is written atomically. If the process is killed between them, `load_into`
     refuses the pair. Raises WeightsError for weights outside the range of float16.
     """
-    tensors = {name: _to_half(name, tensor) for name, tensor in module.state_dict().items()}
+    named = weights.state_dict() if isinstance(weights, nn.Module) else weights
+    tensors = {name: _to_half(name, tensor) for name, tensor in named.items()}
     content = safetensors.save(tensors)
     card = replace(
         card,
