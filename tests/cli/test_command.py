@@ -241,10 +241,6 @@ def test_a_folder_that_takes_no_file_is_found_by_the_commands_that_publish(
     assert output.startswith(f"error: nothing can be written to {tmp_path}/file")
 
 
-def test_the_nearest_preset_is_proposed():
-    assert "Did you mean 'mini'?" in rlbench("render", "--preset", "minni", code=2)
-
-
 def test_an_interrupted_command_that_begins_again_says_so():
     assert "videos are kept. The same command begins again" in what_is_kept("video", {})
     assert "frames are kept in m. The same command continues" in what_is_kept(
