@@ -18,6 +18,7 @@ from pathlib import Path
 
 from rlbench import registry
 from rlbench.benchmark.listing import MethodFacts, method_facts
+from rlbench.weights import ModelCard
 
 ROOT = Path(__file__).parents[1]
 DOCS = ROOT / "docs"
@@ -78,11 +79,15 @@ def _list_rows(patterns: Sequence[str]) -> list[list[str]]:
         if any(fnmatch(facts.name, pattern) for pattern in patterns):
             source = registry.get_variant(facts.name).weights_from
             weights = f"`{source}`" if source else facts.weights.removeprefix("shipped, ")
-            frames = facts.card.frames_seen if facts.card else 0
-            rows.append(
-                [f"`{facts.name}`", facts.question, weights, f"{frames:,}" if frames else ""]
-            )
+            rows.append([f"`{facts.name}`", facts.question, weights, _format_training(facts.card)])
     return rows
+
+
+def _format_training(card: ModelCard | None) -> str:
+    """How many frames weights were trained on, over all starts, and if they would gain by more."""
+    if card is None or not card.frames_trained:
+        return ""
+    return f"{card.frames_trained:,}" + " (rising)" * (card.trend == "rising")
 
 
 def _list_scores(names: Sequence[str]) -> list[list[str]]:

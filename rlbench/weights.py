@@ -47,6 +47,7 @@ class ModelCard:
     # the clips trained on: name, a space, digest; or names alone, with `data_digest`
     data: tuple[str, ...] = ()
     frames_seen: int = 0  # crops drawn; every frame of every clip in a batch counts
+    frames_before: int = 0  # that the weights it started from were trained on, over all starts
     steps: int = 0  # of the optimizer
     seconds: float = 0.0  # training time
     device: str = ""  # that trained
@@ -61,11 +62,17 @@ class ModelCard:
     curves: dict[str, tuple[tuple[int, float, float], ...]] = field(default_factory=dict)
     data_digest: str = ""  # of all clips together, where they are many
     kept_at: int = 0  # frames seen when the weights were these; 0 where that is not known
+    trend: str = ""  # of the last validations: "rising" or "flat"; empty where that is not known
     note: str = ""
     licence: str = "Apache-2.0"
     sha256: str = ""  # of the safetensors file
     dtype: str = ""  # of the stored weights
     parameters: int = 0  # number of values in the file
+
+    @property
+    def frames_trained(self) -> int:
+        """Frames of all trainings that led to these weights, over all starts."""
+        return self.frames_before + self.frames_seen
 
 
 def card_path(path: Path) -> Path:

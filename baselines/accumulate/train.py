@@ -50,5 +50,11 @@ def training_task(variant: str, device: torch.device, seed: int) -> TrainingTask
             yield log_loss(log_transfer_loss(result.image, result.frame.reference.mean))
 
     return TrainingTask(
-        method, network, losses, BUDGETS_FROM_0_05_SPP, FINE_TUNING_MAX_LR, origin=origin
+        method,
+        network,
+        losses,
+        BUDGETS_FROM_0_05_SPP,
+        FINE_TUNING_MAX_LR,
+        origin=origin,
+        pretrained=("",),
     )

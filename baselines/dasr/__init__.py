@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 from rlbench.family import Family, Traits, Variant
 
 __all__ = ["FAMILY", "TRAITS"]
@@ -13,6 +15,7 @@ TRAITS = Traits(
     min_samples=1,
     spp_range=(1.0, 8.0),
 )
+INTEL = replace(TRAITS, inputs=TRAITS.inputs - {"depth"})
 
 FAMILY = Family(
     name="dasr",
@@ -26,6 +29,11 @@ FAMILY = Family(
         "": Variant("Does one sample per pixel show where the others should go?", TRAITS),
         "gamma": Variant(
             "Does the sampler learn better from a smooth sample model?", TRAITS, pretrained=False
+        ),
+        "intel": Variant(
+            "Does the pilot pay from an equal start? (U-Nets of oidn, Intel's weights)",
+            INTEL,
+            pretrained=False,
         ),
     },
     build="baselines.dasr.method:build",

@@ -12,6 +12,8 @@ from torch import Tensor
 
 from baselines.dasr import FAMILY
 from baselines.dasr.network import Networks
+from baselines.oidn import equal_start
+from baselines.oidn.equal_start import EqualStart
 from rlbench.family import Traits
 from rlbench.frames import GBuffer, Samples, Size
 from rlbench.ops.density import bounded_exp_density
@@ -80,10 +82,13 @@ def _network_input(gbuffer: GBuffer, samples: Samples) -> Float[Tensor, "n 10 h 
     return torch.cat((noisy.log1p(), albedo, normal, squash_depth(gbuffer.depth)), 1)
 
 
-def build(variant: str, device: torch.device, weights: str | None) -> Dasr:
+def build(variant: str, device: torch.device, weights: str | None) -> Dasr | EqualStart:
     """DASR with pretrained weights (None), those of a file (its path), or "random" ones."""
+    traits, file = FAMILY.variants[variant].traits, CARDS / FAMILY.weights_file(variant)
+    if variant == "intel":
+        return equal_start.build(traits, device, weights, file)
     networks = Networks()
     if weights == "random":
         networks.init_weights(seed=0)
-    load_for_inference(networks, weights, CARDS / FAMILY.weights_file(variant), device)
-    return Dasr(networks, FAMILY.variants[variant].traits)
+    load_for_inference(networks, weights, file, device)
+    return Dasr(networks, traits)

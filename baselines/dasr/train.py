@@ -13,6 +13,7 @@ from torch.nn import functional as F
 from baselines.dasr import FAMILY
 from baselines.dasr.method import Dasr
 from baselines.dasr.network import Networks
+from baselines.oidn import equal_start
 from rlbench.frames import Clip, Frame, Samples, StoredPool
 from rlbench.ops.box_filter import box_mean
 from rlbench.run import unroll
@@ -120,8 +121,11 @@ def training_task(variant: str, device: torch.device, seed: int) -> TrainingTask
     Kuznetsov et al. 2018, as in the training code behind `network.UNet`: 25,000 steps for the
     denoiser, 5,000 for the sampler and 40,000 for both, at 4 samples per pixel. Here the same
     fractions of the steps that every method gets, at random budgets. The sampling map starts
-    exactly uniform, so the first stage trains the denoiser on uniform samples.
+    exactly uniform, so the first stage trains the denoiser on uniform samples. The variant `intel`
+    has one stage, and its task is that of `baselines.oidn.equal_start`.
     """
+    if variant == "intel":
+        return equal_start.training_task(FAMILY.variants[variant].traits, device)
     networks = Networks()
     networks.init_weights(seed)
     for weight in networks.sampler.last.parameters():

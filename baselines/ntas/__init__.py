@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 from rlbench.family import Family, Traits, Variant
 
 __all__ = ["FAMILY", "TRAITS"]
@@ -13,6 +15,7 @@ TRAITS = Traits(
     min_samples=1,
     spp_range=(1.0, 8.0),
 )
+INTEL = replace(TRAITS, inputs=TRAITS.inputs - {"depth"})
 
 FAMILY = Family(
     name="ntas",
@@ -29,6 +32,12 @@ FAMILY = Family(
             "What do the rules of ours for history give? (weights of ntas)",
             TRAITS,
             weights_from="ntas",
+        ),
+        "intel": Variant(
+            "Do the last image and its map pay from an equal start? (U-Nets of oidn, Intel's "
+            "weights)",
+            INTEL,
+            pretrained=False,
         ),
     },
     build="baselines.ntas.method:build",

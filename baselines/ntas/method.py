@@ -23,6 +23,8 @@ from baselines.accumulate.memory import (
 )
 from baselines.ntas import FAMILY
 from baselines.ntas.network import Denoiser, DirectDenoiser, Networks
+from baselines.oidn import equal_start
+from baselines.oidn.equal_start import EqualStart
 from rlbench.family import Traits
 from rlbench.frames import GBuffer, Samples, Size
 from rlbench.ops.demodulation import demodulation_albedo, filtered_albedo
@@ -160,11 +162,14 @@ def _sampler_input(
     return torch.cat((gbuffer.normal, gbuffer.albedo, squash_depth(gbuffer.depth), previous), 1)
 
 
-def build(variant: str, device: torch.device, weights: str | None) -> Ntas:
+def build(variant: str, device: torch.device, weights: str | None) -> Ntas | EqualStart:
     """NTAS with pretrained weights (None), those of a file (its path), or "random" ones."""
+    traits, file = FAMILY.variants[variant].traits, CARDS / FAMILY.weights_file(variant)
+    if variant == "intel":
+        return equal_start.build(traits, device, weights, file)
     config = VARIANTS[variant]
     networks = Networks(config.denoiser)
     if weights == "random":
         networks.init_weights(seed=0)
-    load_for_inference(networks, weights, CARDS / FAMILY.weights_file(variant), device)
-    return Ntas(networks, config, FAMILY.variants[variant].traits)
+    load_for_inference(networks, weights, file, device)
+    return Ntas(networks, config, traits)

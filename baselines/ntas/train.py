@@ -12,6 +12,7 @@ from baselines.imcd.train import image_and_change_losses
 from baselines.ntas import FAMILY
 from baselines.ntas.method import VARIANTS, Ntas
 from baselines.ntas.network import Networks
+from baselines.oidn import equal_start
 from rlbench.frames import Clip
 from rlbench.ops.transfer import log_forward
 from rlbench.run import unroll
@@ -28,8 +29,11 @@ def training_task(variant: str, device: torch.device, seed: int) -> TrainingTask
 
     L1 of the image plus L1 of its change from the previous frame, both against the reference and in
     log transfer space, weights 1 and 1. Hasselgren et al. 2020 use the last frames of a sequence;
-    here all frames of each `bptt` count. Their transfer function is not known to us.
+    here all frames of each `bptt` count. Their transfer function is not known to us. The variant
+    `intel` has the task of `baselines.oidn.equal_start`.
     """
+    if variant == "intel":
+        return equal_start.training_task(FAMILY.variants[variant].traits, device)
     config = VARIANTS[variant]
     networks = Networks(config.denoiser)
     networks.init_weights(seed)

@@ -34,6 +34,7 @@ __all__ = [
     "tuned_network",
     "to_radiance",
     "to_signed_radiance",
+    "widen",
 ]
 
 CARDS = Path(__file__).parent / "cards"
@@ -88,10 +89,13 @@ def to_signed_radiance(
 
 
 def run_network(
-    network: nn.Module, exposed: Float[Tensor, "n 3 h w"], gbuffer: GBuffer
-) -> Float[Tensor, "n 3 h w"]:
-    """The network's output, in transfer space, for exposed radiance, albedo and normal."""
-    features = encode_inputs(exposed, gbuffer)
+    network: nn.Module,
+    exposed: Float[Tensor, "n 3 h w"],
+    gbuffer: GBuffer,
+    *more: Float[Tensor, "n _ h w"],
+) -> Float[Tensor, "n c h w"]:
+    """The network's output, in transfer space, for exposed radiance, albedo, normal, and `more`."""
+    features = torch.cat((encode_inputs(exposed, gbuffer), *more), dim=1)
     return crop(network(pad(features, multiple=STRIDE)), *features.shape[-2:])
 
 
@@ -151,6 +155,20 @@ def tuned_network(widths: UNetWidths = BASE_WIDTHS) -> tuple[UNet, str]:
     """A network with the weights of `oidn/tuned`, and their origin. Raises KeyError as above."""
     network, origin = _load_network({BASE_WIDTHS: "tuned"}[widths])
     return network, f"oidn/tuned, from {origin}"
+
+
+@torch.no_grad()
+def widen(network: UNet, source: UNet) -> None:
+    """Copy weights into a network of equal widths with more inputs, or another number of outputs.
+
+    The weights of new inputs, which are the last ones, are zero: at first they have no effect.
+    Those of new outputs stay as they are.
+    """
+    weights = source.state_dict()
+    for name, weight in network.state_dict().items():
+        known = weights[name][: len(weight)]
+        shared = weight[: len(known)].zero_()
+        shared[tuple(map(slice, known.shape))].copy_(known)
 
 
 def _load_network(variant: str) -> tuple[UNet, str]:

@@ -48,7 +48,7 @@ def fine_tuning_task(method: Oidn) -> TrainingTask:
     assert isinstance(method.network, UNet)
     intel, origin = published_network(method.network.widths)
     method.network.load_state_dict(intel.state_dict())
-    return replace(_task(method, FINE_TUNING_MAX_LR, log_loss), origin=origin)
+    return replace(_task(method, FINE_TUNING_MAX_LR, log_loss), origin=origin, pretrained=("",))
 
 
 def _task(

@@ -7,7 +7,7 @@ import math
 import torch
 from torch import Tensor, nn
 
-from baselines.oidn.method import published_network, tuned_network
+from baselines.oidn.method import published_network, tuned_network, widen
 from methods.ours import Config
 from methods.ours.networks import (
     DEVIATION_INPUT,
@@ -19,7 +19,6 @@ from methods.ours.networks import (
     Sampler,
 )
 from rlbench.ops.init import kaiming_init
-from rlbench.ops.unet import UNet
 from rlbench.ops.unet_widths import BASE_WIDTHS, FAST_WIDTHS
 
 __all__ = ["initialize", "wire_contrast"]
@@ -62,7 +61,11 @@ def initialize(networks: Networks, config: Config, seed: int) -> str:
     origin = ""
     if config.accumulation != "none" and config.denoiser in (BASE_WIDTHS, FAST_WIDTHS):
         start = tuned_network if config.denoiser_start == "tuned" else published_network
-        origin = _load_denoiser(networks.denoiser, *start(config.denoiser))
+        intel, origin = start(config.denoiser)
+        # outputs of a latent keep their random weights: where both what writes a latent and what
+        # reads it is zero, neither has a gradient
+        widen(networks.denoiser, intel)
+        networks.denoiser.dec_conv0.weight[3:4].zero_()  # of the blend
     if config.accumulates:
         _bias(networks.denoiser.dec_conv0)[3] = math.log(INITIAL_BLEND / (1 - INITIAL_BLEND))
     if config.kernel_taps:
@@ -101,21 +104,6 @@ def _wire_slots(last: nn.Conv2d, samples: int) -> None:
         for colour in range(3):
             mean = {3 * slot + colour: TANH_LINEAR / len(members) for slot in members}
             _wire(last, 3 * group + colour, mean)
-
-
-def _load_denoiser(denoiser: UNet, network: UNet, origin: str) -> str:
-    """The weights of OIDN's network, and zeros for the inputs of the state and for the blend.
-
-    Output channels of a latent keep their random weights: where both what writes a latent and what
-    reads it is zero, neither has a gradient.
-    """
-    intel = network.state_dict()
-    for name, weight in denoiser.state_dict().items():
-        weight[:4].zero_() if name.startswith("dec_conv0.") else weight.zero_()
-        shared = weight[: len(intel[name])]  # colour is followed by the blend and the latent
-        shared = shared if weight.dim() == 1 else shared[:, : intel[name].shape[1]]
-        shared.copy_(intel[name])  # the state is the last input
-    return origin
 
 
 @torch.no_grad()

@@ -139,6 +139,7 @@ def config_task(config: Config, traits: Traits, device: torch.device, seed: int)
         max_lr * math.sqrt(config.bptt),
         multipliers,
         origin=origin,
+        pretrained=("denoiser.",) if origin else (),
         auxiliary_network=auxiliary,
     )
 

@@ -146,7 +146,9 @@ def _unmeasured(method: MethodFacts) -> str:
 
 
 def _card(card: ModelCard) -> str:
-    trained = f"{card.frames_seen} crops, {card.steps} steps, {card.seconds:.0f} s on {card.device}"
+    before = f" after {card.frames_before}" if card.frames_before else ""
+    crops = f"{card.frames_seen} crops{before}"
+    trained = f"{crops}, {card.steps} steps, {card.seconds:.0f} s on {card.device}"
     scenes = f"{len(card.data)} clips, {card.data[0]} to {card.data[-1]}" if card.data else ""
     curve = "; ".join(f"{psnr:.2f} dB after {seen}" for seen, psnr in card.validation_history[-2:])
     rows = [
@@ -154,7 +156,7 @@ def _card(card: ModelCard) -> str:
         ("Parameters", f"{card.parameters:,} values, {card.dtype}"),
         ("Trained on", escape(scenes)),
         ("Training", escape(trained) if card.steps else ""),
-        ("Validation", curve),
+        ("Validation", f"{curve} ({card.trend})" if card.trend else curve),
         ("Started from", escape(card.origin)),
         ("Seed", str(card.seed) if card.steps else ""),
         ("Command", f"`{card.command}`" if card.command else ""),

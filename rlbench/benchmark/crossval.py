@@ -19,7 +19,7 @@ from rlbench.render.jobs import render_clips
 from rlbench.render.presets import PRESETS
 from rlbench.training import dataset
 from rlbench.training.dataset import TrainingSplit
-from rlbench.training.runs import TrainingRuns
+from rlbench.training.loop import TrainingRuns
 
 __all__ = ["Fold", "crossval", "folds", "row_names", "variant_to_train"]
 
@@ -76,7 +76,7 @@ def folds(preset: str, scenes: Sequence[str], names: Sequence[str]) -> list[Fold
     return [
         Fold(
             scene,
-            dataset.split_holdout(scene, preset, pools),
+            dataset.select_split(preset, None, scene, pools),
             tuple(
                 StoredSource(folder)
                 for folder in render_clips.render_preset_clips([scene], preset, pool_kinds=pools)

@@ -58,7 +58,7 @@ def crossval(
     from rlbench.benchmark.run_outcome import read_outcome
     from rlbench.benchmark.run_plan import RunPlan
     from rlbench.cli import console
-    from rlbench.training.config import TrainingConfig
+    from rlbench.training.task import TrainingConfig
 
     config = TrainingConfig(
         frames or options.DEFAULT_FRAMES,

@@ -21,8 +21,8 @@ from rlbench.cli.verbosity import note
 from rlbench.errors import OptionError
 
 if TYPE_CHECKING:
-    from rlbench.training.config import TrainingConfig
-    from rlbench.training.runs import TrainingRuns
+    from rlbench.training.loop import TrainingRuns
+    from rlbench.training.task import TrainingConfig
 
 __all__ = ["QUICK_FRAMES", "train", "training_runs"]
 
@@ -117,11 +117,21 @@ def train(
         str | None,
         option(
             TRAINING,
-            "first weights of new runs: a weights file, or a finished run in --out such as "
-            "ours/A2; tensors of equal name and shape are taken",
-            value="FILE|RUN",
+            "first weights of new runs: a weights file, a finished run in --out such as ours/A2, "
+            "or else the shipped weights of that row; tensors of equal name and shape are taken",
+            value="FILE|ROW",
         ),
     ] = None,
+    anchor: Annotated[
+        float,
+        option(
+            TRAINING,
+            "keep weights that were trained before near their start (L2-SP); no such weight moves "
+            "further than about 1 / WEIGHT; 0: free",
+            value="WEIGHT",
+            min=0,
+        ),
+    ] = 0.0,
     restart: Annotated[
         bool,
         flag(
@@ -173,6 +183,7 @@ def train(
       rlbench train -m ours --clips 'shots/*' --validate development,mine=held_out/ --keep best
       rlbench train -m ntas --holdout hall --preset standard
       rlbench train -m ours/paper --start ours/paper-A2 --frames 20000
+      rlbench train -m ours --start ours --anchor 30 --frames 30000
       rlbench train --queue campaign.toml --out runs/campaign
       rlbench train --queue campaign.toml --out runs/campaign --status
     """
@@ -186,10 +197,9 @@ def train(
     from rlbench.parallel.executor import TimeLimit, TimeLimitedExecutor
     from rlbench.system.paths import check_writable
     from rlbench.training import dataset
-    from rlbench.training.config import TrainingConfig
-    from rlbench.training.logger import tensorboard_hint
-    from rlbench.training.run_folder import QUICK, find_weights
-    from rlbench.training.runs import archive_run
+    from rlbench.training.loop import archive_run
+    from rlbench.training.run_folder import QUICK, find_weights, tensorboard_hint
+    from rlbench.training.task import TrainingConfig
 
     check_writable(out)
     limit = TimeLimit(math.inf if minutes is None else minutes)
@@ -204,9 +214,10 @@ def train(
         mix=_mix_share(mix, preset, seeds, clips),
         keep=keep,
         eval_interval=eval_interval,
+        anchor=anchor,
     )
     runs = training_runs(out, config, device, minutes, allow_config_change)
-    runs = replace(runs, suffix=QUICK if quick else "", start=find_weights(start, out))
+    runs = replace(runs, suffix=QUICK if quick else "", start=find_weights(start, out, names))
     runs.check(names)
     if quick:
         chosen = {"preset": preset, "seeds": seeds, "holdout": holdout, "clips": clips}
@@ -288,7 +299,7 @@ def training_runs(
     from rlbench.benchmark.api import select_device
     from rlbench.cli import console
     from rlbench.system.bfloat16 import emulation_reason
-    from rlbench.training.runs import TrainingRuns
+    from rlbench.training.loop import TrainingRuns
 
     selected = str(select_device(device))
     if config.bf16 and (reason := emulation_reason(selected)):

@@ -51,8 +51,8 @@ def load_method(
     >>> load_method("mean").traits.pool
     'path'
 
-    Raises PluginError if a package that the method requires is not installed, or if its traits are
-    not those that its family declares.
+    Raises PluginError if a package that the method requires is not installed, if no weights are
+    shipped for it and none are named, or if its traits are not those that its family declares.
     """
     import torch
 
@@ -64,6 +64,11 @@ def load_method(
     if missing := " ".join(provenance.missing_packages(declared.requires)):
         raise PluginError(
             f"'{name}' needs {missing}, which is not installed: pip install {missing}"
+        )
+    if weights is None and not declared.pretrained and not shipped_weights(name).is_file():
+        raise PluginError(
+            f"no weights are shipped for '{name}'. Train some with 'rlbench train -m {name}', and "
+            "name the file with --weights"
         )
     build = family.build
     with exits_as_errors():

@@ -28,7 +28,6 @@ __all__ = [
 
 if TYPE_CHECKING:
     from rlbench.training.checkpoint import Progress
-    from rlbench.training.config import TrainingConfig
     from rlbench.training.loop import TrainingResult, train
     from rlbench.training.lr_find import LrRangeResult, find_learning_rate
     from rlbench.training.surrogate_gradient import (
@@ -37,7 +36,12 @@ if TYPE_CHECKING:
         kuznetsov_gradient,
         relaxed_counts,
     )
-    from rlbench.training.task import BUDGETS_FROM_1_SPP, TrainingError, TrainingTask
+    from rlbench.training.task import (
+        BUDGETS_FROM_1_SPP,
+        TrainingConfig,
+        TrainingError,
+        TrainingTask,
+    )
 else:
     import lazy_loader
 
@@ -45,7 +49,6 @@ else:
         __name__,
         submod_attrs={
             "checkpoint": ["Progress"],
-            "config": ["TrainingConfig"],
             "loop": ["TrainingResult", "train"],
             "lr_find": ["LrRangeResult", "find_learning_rate"],
             "surrogate_gradient": [
@@ -54,6 +57,6 @@ else:
                 "kuznetsov_gradient",
                 "relaxed_counts",
             ],
-            "task": ["BUDGETS_FROM_1_SPP", "TrainingError", "TrainingTask"],
+            "task": ["BUDGETS_FROM_1_SPP", "TrainingConfig", "TrainingError", "TrainingTask"],
         },
     )

@@ -17,7 +17,7 @@ from rlbench.clips.stored import DEFAULT_INPUTS, InMemoryClip, StoredClip, open_
 from rlbench.errors import RlbenchError
 from rlbench.family import Traits
 from rlbench.frames import Frame, GBuffer, Reference, StoredPool
-from rlbench.training.config import TrainingConfig
+from rlbench.training.task import TrainingConfig
 
 __all__ = [
     "TRAINING_INPUTS",
@@ -250,6 +250,8 @@ def _draw_integer(generator: torch.Generator, below: int) -> int:
 
 
 def _stack(frames: Sequence[Frame]) -> Frame:
+    if len(frames) == 1:
+        return frames[0]
     names = frames[0].gbuffer.buffers
     pools = [frame.pool for frame in frames]
     gbuffer = GBuffer({k: torch.cat([f.gbuffer.buffers[k] for f in frames]) for k in names})

@@ -1,35 +1,49 @@
-"""Checkpoints: the progress of a run, its tensors, and a checksum of both in one file."""
+"""What a run keeps and leaves: its progress, checkpoints with a checksum, and trained weights."""
 
 from __future__ import annotations
 
+import copy
 import json
+import logging
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from hashlib import sha256
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import torch
 from safetensors import SafetensorError, safe_open
-from safetensors.torch import save_file
+from safetensors.torch import load_file, save_file
 from torch import Tensor
 
+from rlbench import weights
 from rlbench.errors import RlbenchError
-from rlbench.system import documents, paths
+from rlbench.method import config_json
+from rlbench.system import documents, paths, provenance
+from rlbench.training.task import TrainingError, TrainingTask
+
+if TYPE_CHECKING:
+    from rlbench.training.train_state import TrainState
 
 __all__ = [
     "CheckpointError",
     "Progress",
     "combine_digests",
     "describe_changes",
+    "frames_in_weights",
     "read",
-    "read_metadata",
+    "save_weights",
     "select_prefix",
+    "start_from",
     "write",
 ]
 
+_logger = logging.getLogger(__name__)
+
 MAX_LISTED = 8  # clips in a message
-PLATEAU_DB = 0.1  # a smaller rise between the last two validations counts as converged
+MAX_DIGESTS = 32  # clips whose digests a card lists; more have one together
+LAST_FIFTH = 0.8  # of a run ends it
+PLATEAU_DB = 0.1  # a smaller rise in the last fifth of a run counts as converged
 
 
 class CheckpointError(RlbenchError, ValueError):
@@ -74,22 +88,36 @@ class Progress:
         self.config_changes += [f"after {self.frames_seen} frames: {change}" for change in changes]
         self.config = config
 
+    @property
+    def trend(self) -> str:
+        """Is the validation still "rising" in the last fifth of the run, or "flat"?
+
+        Empty with fewer than two validations.
+        """
+        if len(self.validation_history) < 2:
+            return ""
+        return "rising" if self._last_rise >= PLATEAU_DB else "flat"
+
+    @property
+    def _last_rise(self) -> float:
+        """From the last validation before the last fifth of the run to the last one, in dB."""
+        *earlier, (frames, last) = self.validation_history
+        before = [psnr for seen, psnr in earlier if seen <= LAST_FIFTH * frames] or [earlier[0][1]]
+        return last - before[-1]
+
     def note(self, frames: int) -> str:
         """What users of the weights should know: config changes, early stop, no convergence yet.
 
         `frames` is the intended length of the run. Empty if there is nothing to report.
         """
-        return "; ".join(filter(None, (*self.config_changes, self._warn_if_too_short(frames))))
-
-    def _warn_if_too_short(self, frames: int) -> str:
+        problem = ""
         if self.frames_seen < frames:
-            return f"stopped at {self.frames_seen} of {frames} frames"
-        if len(self.validation_history) < 2:
-            return ""
-        (before, previous), (_, last) = self.validation_history[-2:]
-        if last - previous < PLATEAU_DB:
-            return ""
-        return f"not converged: validation rose by {last - previous:.2f} dB after {before} frames"
+            problem = f"stopped at {self.frames_seen} of {frames} frames"
+        elif self.trend == "rising":
+            problem = (
+                f"not converged: validation rose by {self._last_rise:.2f} dB in the last fifth"
+            )
+        return "; ".join(filter(None, (*self.config_changes, problem)))
 
 
 def describe_changes(old: Mapping[str, Any], new: Mapping[str, Any]) -> list[str]:
@@ -126,29 +154,21 @@ def write(path: Path, tensors: Mapping[str, Tensor], metadata: dict[str, Any]) -
         save_file(contiguous, temporary, {"progress": progress, "checksum": checksum})
 
 
-def read_metadata(path: Path) -> dict[str, Any]:
-    """The metadata of a file that `write` wrote. Raises CheckpointError for any other file."""
-    try:
-        with safe_open(path, "pt") as file:
-            metadata: dict[str, Any] = dict(json.loads(file.metadata()["progress"]))
-            return metadata
-    except (OSError, SafetensorError, TypeError, LookupError, ValueError, RecursionError) as error:
-        raise CheckpointError(
-            f"{path} is not a file written by a training run ({error!r}). Give a checkpoint "
-            "from the folder of a run"
-        ) from error
-
-
 def read(path: Path) -> tuple[dict[str, Any], dict[str, Tensor]]:
     """The metadata and the tensors of a file that `write` wrote.
 
     Raises CheckpointError for any other file, and for one that was changed.
     """
-    metadata = read_metadata(path)
-    with safe_open(path, "pt") as file:
-        names = list(file.keys())  # safe_open objects are not iterable
-        tensors = {name: file.get_tensor(name) for name in names}
-        stored = file.metadata()
+    try:
+        with safe_open(path, "pt") as file:
+            stored = file.metadata()
+            metadata = dict(json.loads(stored["progress"]))
+            tensors = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118
+    except (OSError, SafetensorError, TypeError, LookupError, ValueError, RecursionError) as error:
+        raise CheckpointError(
+            f"{path} is not a file written by a training run ({error!r}). Give a checkpoint "
+            "from the folder of a run"
+        ) from error
     if stored.get("checksum") != _checksum(stored["progress"], tensors):
         raise CheckpointError(
             f"{path} was changed after it was written: its checksum is another one. Delete it and "
@@ -173,3 +193,104 @@ def _checksum(progress: str, tensors: Mapping[str, Tensor]) -> str:
         digest.update(f"{name} {tensor.dtype} {list(tensor.shape)}".encode())
         digest.update(tensor.detach().cpu().reshape(-1).view(torch.uint8).numpy().tobytes())
     return digest.hexdigest()
+
+
+def frames_in_weights(file: Path) -> int | None:
+    """The frames that a weights file was trained on; None if the file or its card is incomplete.
+
+    A kill may leave weights without a card, or with that of older weights.
+    """
+    try:
+        card = weights.read_card(file)
+    except weights.WeightsError:
+        return None
+    return card.frames_seen if weights.digest(file) == card.sha256 else None
+
+
+def start_from(task: TrainingTask, file: Path) -> TrainingTask:
+    """The task, whose networks got the tensors of a weights file that have the name and shape.
+
+    The others keep their values. The task records the origin for the model card (method, frames,
+    hash and number of tensors), the names, and the frames that the weights were trained on; a
+    warning lists the tensors. Raises WeightsError without a file and its card, and TrainingError if
+    no tensor fits.
+    """
+    card, stored, initial = weights.read_card(file), load_file(file), task.networks.state_dict()
+    taken = [
+        name for name, t in stored.items() if name in initial and t.shape == initial[name].shape
+    ]
+    if not taken:
+        raise TrainingError(
+            f"no tensor of {file} ({card.name}) has the name and shape of one to train. Choose "
+            "weights of a method with the same networks"
+        )
+    task.networks.load_state_dict({name: stored[name] for name in taken}, strict=False)
+    count = f"{len(taken)} of {len(initial)} tensors"
+    line = f"{count} from {file}: {', '.join(taken)}"
+    if fresh := sorted(initial.keys() - set(taken)):
+        line += f"; initial values: {', '.join(fresh)}"
+    _logger.warning("start: %s", line)
+    origin = (
+        f"{card.name} after {card.frames_trained} frames, {weights.digest(file)[:12]} ({count})"
+    )
+    return replace(
+        task,
+        origin="; others: ".join(filter(None, (origin, task.origin))),
+        pretrained=tuple(taken),
+        frames_before=card.frames_trained,
+    )
+
+
+def save_weights(
+    method: str,
+    file: Path,
+    state: TrainState,
+    progress: Progress,
+    command: str,
+    remark: str = "",
+    validation: Mapping[str, str] | None = None,
+) -> None:
+    """Write the kept averaged weights and their model card, whose note begins with the remark.
+
+    `validation` describes the clips of each validation set, for the card.
+    """
+    task, config = state.task, state.config
+    extra = {"spp": config.spp or task.spp, "max_lr": task.max_lr, "validation": validation or {}}
+    networks, kept_at, kept = state.ema_networks, progress.frames_seen, ""
+    if state.best and progress.best:
+        networks = copy.deepcopy(networks)
+        networks.load_state_dict(state.best)
+        kept_at, psnr = progress.best
+        kept = (
+            f"kept: {config.keep}, {psnr:.2f} dB after {kept_at} of {progress.frames_seen} frames"
+        )
+    data = progress.config["data"]
+    card = weights.ModelCard(
+        name=method,
+        data=tuple(data if len(data) <= MAX_DIGESTS else (c.rpartition(" ")[0] for c in data)),
+        data_digest=combine_digests(data) if len(data) > MAX_DIGESTS else "",
+        frames_seen=progress.frames_seen,
+        frames_before=task.frames_before,
+        steps=progress.steps,
+        seconds=round(progress.seconds),
+        device=_describe_device(state.device),
+        seed=config.seed,
+        command=command,
+        commit=provenance.commit(),
+        training_config=json.dumps({**config.to_dict(), **extra}),
+        method_config=config_json(task.method),
+        origin=task.origin,
+        validation_history=tuple(progress.validation_history),
+        curves={name: tuple(curve) for name, curve in progress.curves.items()},
+        kept_at=kept_at,
+        trend=progress.trend,
+        note="; ".join(filter(None, (remark, kept, progress.note(config.frames)))),
+    )
+    weights.save(networks, file, card)
+
+
+def _describe_device(device: torch.device) -> str:
+    machine = provenance.machine()
+    if device.type == "cpu":
+        return f"{machine.cpu}, {torch.get_num_threads()} threads"
+    return machine.gpu

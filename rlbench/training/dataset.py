@@ -1,18 +1,26 @@
-"""Training and validation clips: of presets, of the user, all scenes but one, or procedural."""
+"""Training and validation clips: of presets, of the user, all scenes but one, or procedural.
+
+Which clips are selected, which are refused, and why.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterable, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
+from functools import partial
+from glob import glob, has_magic
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
-from rlbench.clips.header import FILE
+from rlbench.clips.compatibility import incompatibility
+from rlbench.clips.header import FILE, ClipError, Header
+from rlbench.clips.stored import StoredClip, find_all_clips, open_clip, read_header
 from rlbench.errors import OptionError
+from rlbench.family import Traits
 from rlbench.registry.near_names import unknown_name
 from rlbench.render.jobs.render_clips import render_preset_clips
-from rlbench.render.presets import PRESETS
+from rlbench.render.presets import PRESETS, PresetUse, is_clip_for
 from rlbench.system import paths
-from rlbench.training.own_clips import find_own_clips
+from rlbench.training.batches import TRAINING_INPUTS, BatchError
 
 if TYPE_CHECKING:
     from rlbench.parallel.executor import Executor
@@ -21,7 +29,10 @@ __all__ = [
     "QUICK_PREFIX",
     "QUICK_REMARK",
     "TrainingSplit",
+    "check_clips",
     "count_unrendered",
+    "describe_small_pools",
+    "find_own_clips",
     "select_split",
     "select_validation",
     "split_generated",
@@ -29,6 +40,8 @@ __all__ = [
     "split_off_validation",
     "split_quick",
 ]
+
+Render = Callable[..., list[Path]]  # `render_preset_clips`, perhaps with some arguments given
 
 QUICK_PREFIX = "procedural-"  # of the names of clips for a quick training
 QUICK_CLIPS, QUICK_SIDE = 10, 160  # clips, and pixels; as large as those of the preset `train`
@@ -38,6 +51,10 @@ VALIDATION_SEEDS = (0, 14)  # of generated scenes, for runs that are not trained
 OWN = "clips"  # name of the validation set that is split off the user's own clips
 MAX_LISTED = 5  # clips in a message
 INTERVAL = 8  # every so many clips, one validates
+REFUSALS: Mapping[PresetUse, str] = {
+    "train": "so methods must not be trained on it",
+    "decide": "so it must not validate, because a validation decides",
+}
 
 
 class TrainingSplit(NamedTuple):
@@ -80,8 +97,9 @@ def select_split(
     Raises OptionError if the options contradict each other, and as `split_generated`,
     `split_holdout`, `find_own_clips` and `select_validation` do.
     """
+    render = partial(render_preset_clips, pool_kinds=pool_kinds, executor=executor)
     if held_out_scene is None:
-        return _select(preset, seeds, pool_kinds, executor, clips, validate)
+        return _select(preset, seeds, render, clips, validate)
     if seeds is not None:
         raise OptionError(
             "--seeds applies to generated scenes only. With --holdout, training uses the other "
@@ -93,14 +111,13 @@ def select_split(
             f"--holdout trains on test scenes of a preset, and {option} names other clips. Omit "
             "one of them"
         )
-    return split_holdout(held_out_scene, preset or "mini", pool_kinds, executor)
+    return split_holdout(held_out_scene, preset or "mini", render)
 
 
 def _select(
     preset: str | None,
     seeds: tuple[int, ...] | None,
-    pool_kinds: Collection[str] | None,
-    executor: Executor | None,
+    render: Render,
     clips: Sequence[str],
     validate: Sequence[str],
 ) -> TrainingSplit:
@@ -113,14 +130,14 @@ def _select(
     own = find_own_clips(clips) if clips else []
     for name in names:
         _check_not_test_set(name, seeds)
-    sets: dict[str, Sequence[Path]] = dict(select_validation(validate, pool_kinds, executor))
+    sets: dict[str, Sequence[Path]] = dict(select_validation(validate, render))
     if validate:  # all other clips train
-        rendered = [path for name in names for path in _render(name, seeds, pool_kinds, executor)]
+        rendered = [path for name in names for path in render(None, name, seeds=seeds)]
         return _join(without_validation(rendered, sets), without_validation(own, sets), sets)
     train: list[Path] = []
     remark = ""
     for name in names:
-        split = split_generated(name, seeds, pool_kinds, executor)
+        split = split_generated(name, seeds, render)
         train, remark = [*train, *split.train], remark or split.remark
         sets |= split.validation
     if own:
@@ -137,9 +154,7 @@ def _join(
 
 
 def select_validation(
-    words: Iterable[str],
-    pool_kinds: Collection[str] | None = None,
-    executor: Executor | None = None,
+    words: Iterable[str], render: Render = render_preset_clips
 ) -> dict[str, list[Path]]:
     """Validation sets of `[NAME=]FOLDER` or `[NAME=]PRESET`; a name that is given twice is one set.
 
@@ -152,7 +167,7 @@ def select_validation(
         name, _, what = word.rpartition("=")
         if what in PRESETS and not Path(what).exists():
             _check_for_decisions(what)
-            folders = render_preset_clips(None, what, pool_kinds=pool_kinds, executor=executor)
+            folders = render(None, what)
         else:
             folders = find_own_clips([what], "decide")
         known = sets.setdefault(name or Path(what).resolve().name, [])
@@ -237,10 +252,7 @@ def count_unrendered(preset: str, seeds: tuple[int, ...] | None) -> tuple[int, i
 
 
 def split_generated(
-    preset: str,
-    seeds: tuple[int, ...] | None = None,
-    pool_kinds: Collection[str] | None = None,
-    executor: Executor | None = None,
+    preset: str, seeds: tuple[int, ...] | None = None, render: Render = render_preset_clips
 ) -> TrainingSplit:
     """Generated scenes of a preset, or those of `seeds`; the first and the middle one validate.
 
@@ -248,21 +260,12 @@ def split_generated(
     OptionError if the preset or a seed belongs to a test set.
     """
     _check_not_test_set(preset, seeds)
-    folders = _render(preset, seeds, pool_kinds, executor)
+    folders = render(None, preset, seeds=seeds)
     if len(folders) == 1:
         return TrainingSplit(folders, {preset: folders}, ONE_CLIP_REMARK)
     validate = folders[:: max(len(folders) // 2, 2)][:2]
     train = [folder for folder in folders if folder not in validate]
     return TrainingSplit(train, {preset: validate})
-
-
-def _render(
-    preset: str,
-    seeds: tuple[int, ...] | None,
-    pool_kinds: Collection[str] | None,
-    executor: Executor | None,
-) -> list[Path]:
-    return render_preset_clips(None, preset, seeds=seeds, pool_kinds=pool_kinds, executor=executor)
 
 
 def _check_not_test_set(preset: str, seeds: tuple[int, ...] | None) -> None:
@@ -283,12 +286,7 @@ def _check_not_test_set(preset: str, seeds: tuple[int, ...] | None) -> None:
             )
 
 
-def split_holdout(
-    scene: str,
-    preset: str,
-    pool_kinds: Collection[str] | None = None,
-    executor: Executor | None = None,
-) -> TrainingSplit:
+def split_holdout(scene: str, preset: str, render: Render = render_preset_clips) -> TrainingSplit:
     """All scenes of a preset except one, which is the test scene: leave-one-scene-out.
 
     The protocol of Scardigli et al. 2023. Two generated scenes validate, so that the held-out scene
@@ -305,10 +303,98 @@ def split_holdout(
     if scene not in scenes:
         problem = f"no scene '{scene}' to hold out"
         raise OptionError(unknown_name(problem, scene, scenes, f": preset '{preset}' has"))
-    folders = render_preset_clips(
-        [name for name in scenes if name != scene], preset, pool_kinds=pool_kinds, executor=executor
-    )
-    validate = render_preset_clips(
-        None, "train", seeds=VALIDATION_SEEDS, pool_kinds=pool_kinds, executor=executor
-    )
+    folders = render([name for name in scenes if name != scene], preset)
+    validate = render(None, "train", seeds=VALIDATION_SEEDS)
     return TrainingSplit(folders, {"train": validate})
+
+
+def find_own_clips(folders: Iterable[str | Path], use: PresetUse = "train") -> list[Path]:
+    """The clip folders at or directly below each folder or shell-style pattern, each once.
+
+    Raises ClipError where there is none, and OptionError for a clip of a preset that is not for
+    `use`, such as a test clip to train on.
+    """
+    found = find_all_clips(path for folder in folders for path in _expand(str(folder)))
+    clips = list({folder.resolve(): folder for folder in found}.values())
+    for folder in clips:
+        header = read_header(folder)
+        if not is_clip_for(use, header.preset, header.scene, header.name):
+            raise OptionError(
+                f"clip '{header.name}' in {folder} belongs to preset '{header.preset}', which is "
+                f"scored, {REFUSALS[use]}. Leave it out of the folders, and measure it by 'rlbench "
+                f"run --clips {folder}'"
+            )
+    return clips
+
+
+def check_clips(
+    method: str, traits: Traits, clips: Sequence[Path], crop: int, budgets: Sequence[float]
+) -> None:
+    """Raise BatchError, naming each clip that cannot train a method with these traits, and why.
+
+    A clip has to have all files, the buffers and the sample pool that the method needs, `crop`
+    pixels on each side, and samples for the least budget that the method supports. `crop` is 0 for
+    clips that only validate. `budgets` are those of the training, in samples per pixel; a larger
+    one than a clip has samples is limited to them.
+    """
+    problems = [
+        f"{folder.name}: {reason}"
+        for folder in clips
+        if (reason := _why_not(folder, traits, crop, budgets))
+    ]
+    if problems:
+        more = len(problems) - MAX_LISTED
+        tail = [f"and {more} more"] if more > 0 else []
+        raise BatchError(
+            f"'{method}' cannot use {len(problems)} of {len(clips)} clips. Correct them or leave "
+            f"them out: {'; '.join([*problems[:MAX_LISTED], *tail])}"
+        )
+
+
+def describe_small_pools(clips: Sequence[StoredClip], budgets: Sequence[float]) -> str:
+    """Which clips store fewer samples than the largest budget, in one line; empty if none does."""
+    most = max(budgets, default=0.0)
+    small = [f"{clip.name} {clip.max_samples}" for clip in clips if clip.max_samples < most]
+    if not small:
+        return ""
+    more = f" and {len(small) - MAX_LISTED} more" if len(small) > MAX_LISTED else ""
+    return (
+        f"{len(small)} of {len(clips)} clips store fewer samples per pixel than the largest budget "
+        f"of {most:g} ({', '.join(small[:MAX_LISTED])}{more}): budgets above are limited to them"
+    )
+
+
+def _expand(word: str) -> list[Path]:
+    """The folders that a word names: the folder itself, or all that match it as a pattern."""
+    path = Path(word).expanduser()
+    if path.exists() or not has_magic(word):
+        return [path]
+    if folders := [Path(match) for match in sorted(glob(str(path))) if Path(match).is_dir()]:
+        return folders
+    raise ClipError(f"no folder matches '{word}'. Name a folder that holds clips")
+
+
+def _why_not(folder: Path, traits: Traits, crop: int, budgets: Sequence[float]) -> str:
+    """Why a clip cannot be used, with a remedy; empty if it can."""
+    try:
+        header = read_header(folder)
+        needed = traits.inputs | (TRAINING_INPUTS if crop else frozenset())
+        for spp in budgets or (max(1.0, traits.spp_range[0]),):
+            spp = min(spp, float(header.pool_spp))
+            if reason := incompatibility(header, traits, spp):
+                return reason
+        if min(header.height, header.width) < crop:
+            return _too_small(header, crop)
+        open_clip(folder, needed, pool=traits.pool)
+    except ClipError as error:
+        hint = "; a training needs a reference of every frame" * ("reference" in str(error))
+        return f"{error}{hint}"
+    return ""
+
+
+def _too_small(header: Header, crop: int) -> str:
+    side = min(header.height, header.width)
+    return (
+        f"has {header.height} x {header.width} pixels, fewer than crops of {crop} x {crop}; "
+        f"choose --crop {side} or less"
+    )

@@ -1,4 +1,7 @@
-"""The training loop: the same for every learned method, so that only the methods differ."""
+"""The training loop: the same for every learned method, so that only the methods differ.
+
+`train` trains one method, `TrainingRuns` several with one config, each in a folder of its own.
+"""
 
 from __future__ import annotations
 
@@ -6,30 +9,40 @@ import logging
 import math
 import time
 from collections.abc import Callable, Mapping, Sequence
-from contextlib import closing
-from dataclasses import asdict, replace
+from contextlib import AbstractContextManager, closing, nullcontext
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any, NamedTuple
 
 from rlbench import registry
 from rlbench.clips.in_memory import InMemoryClip
 from rlbench.clips.stored import open_clip
+from rlbench.system.folder_lock import locked_folder
 from rlbench.system.process_settings import keep_freed_memory
-from rlbench.training import checkpoint, own_clips, validation
+from rlbench.training import checkpoint, dataset
 from rlbench.training.batches import Batches, prefetch, sequence_budget
-from rlbench.training.checkpoint import Progress, combine_digests, describe_changes
-from rlbench.training.config import TrainingConfig
-from rlbench.training.logger import TrainingLogger
-from rlbench.training.run_folder import CHECKPOINT, weights_path
-from rlbench.training.task import TrainingError, TrainingTask
-from rlbench.training.train_state import NonFiniteStepError, TrainState
-from rlbench.training.trained_weights import frames_in_weights, save_weights, start_from
+from rlbench.training.checkpoint import (
+    Progress,
+    combine_digests,
+    describe_changes,
+    frames_in_weights,
+    save_weights,
+    start_from,
+)
+from rlbench.training.dataset import TrainingSplit
+from rlbench.training.run_folder import CHECKPOINT, TrainingLogger, run_folder, weights_path
+from rlbench.training.task import TrainingConfig, TrainingError, TrainingTask
+from rlbench.training.train_state import NonFiniteStepError, TrainState, ValidationResult
 
-__all__ = ["TrainingResult", "check_budgets", "train"]
+__all__ = ["TrainingResult", "TrainingRuns", "archive_run", "train"]
 
 _logger = logging.getLogger(__name__)
 
 STATUS_SECONDS = 10.0  # between two writings of the status
+
+OnProgress = Callable[[Progress, float], None]  # progress and loss, after each sequence
+# (title, total frames) -> a context in which the returned callback shows the progress
+ProgressBar = Callable[[str, int], AbstractContextManager[OnProgress]]
 
 
 class TrainingResult(NamedTuple):
@@ -48,7 +61,7 @@ def train(
     device: str = "cpu",
     minutes: float = math.inf,
     command: str = "",
-    on_progress: Callable[[Progress, float], None] = lambda progress, loss: None,
+    on_progress: OnProgress = lambda progress, loss: None,
     allow_config_change: bool = False,
     remark: str = "",
     mixed_in: Sequence[Path] = (),
@@ -76,18 +89,18 @@ def train(
     if there is no validation set to keep the best weights by, if the checkpoint has a different
     config, or if a loss or a gradient is not finite.
     """
-    check_budgets(method, config)
-    sets = _name_sets(validation_clips)
-    _check_kept_set(config, sets)
+    _check_budgets(method, config)
+    sets = _name_sets(validation_clips, config.keep)
     keep_freed_memory()
-    task = _make_task(method, device, config.seed, start)
-    state = TrainState(task, config, device)
+    task: TrainingTask = registry.training_task(method, device, config.seed)
+    state = TrainState(task := start_from(task, start) if start else task, config, device)
     batches = Batches.from_config(train_clips, config, task.method.traits, device, mixed_in)
-    limits = _check_clips(method, batches, sets, config.spp or task.spp)
+    _check_clips(method, [*train_clips, *mixed_in], sets, config.crop, config.spp or task.spp)
+    limits = _describe_small_pools(method, batches, config.spp or task.spp)
     described = {name: _describe(clips, batches.pool) for name, clips in sets.items()}
     requested = {"method": method, **config.to_dict(), "data": batches.clip_digests()}
-    requested |= {"validation": described} if config.keeps_best else {}
-    requested |= {"start": task.origin} if start else {}
+    chosen = {"validation": config.keeps_best and described, "start": start and task.origin}
+    requested |= {name: value for name, value in chosen.items() if value}
     progress = _start_or_resume(state, out / CHECKPOINT, requested, allow_config_change)
     result = TrainingResult(weights_path(method, out), progress)
     if config.frames <= progress.frames_seen == frames_in_weights(result.weights):
@@ -119,7 +132,7 @@ def train(
     return result
 
 
-def check_budgets(method: str, config: TrainingConfig) -> None:
+def _check_budgets(method: str, config: TrainingConfig) -> None:
     """Raise TrainingError if a method cannot be trained at a budget of the config."""
     traits = registry.get_variant(method).traits
     for spp in config.spp:
@@ -127,32 +140,22 @@ def check_budgets(method: str, config: TrainingConfig) -> None:
             raise TrainingError(f"'{method}' cannot be trained at {spp:g} spp: {reason}")
 
 
-def _make_task(method: str, device: str, seed: int, start: Path | None) -> TrainingTask:
-    """The task of a method, whose networks have the weights of the file `start` where they fit."""
-    task: TrainingTask = registry.training_task(method, device, seed)
-    if start is None:
-        return task
-    origin, line = start_from(task.networks, start)
-    _logger.warning("%s: %s", method, line)
-    return replace(task, origin="; others: ".join(filter(None, (origin, task.origin))))
-
-
 def _name_sets(
-    clips: Sequence[Path] | Mapping[str, Sequence[Path]],
+    clips: Sequence[Path] | Mapping[str, Sequence[Path]], keep: str
 ) -> Mapping[str, Sequence[Path]]:
-    """Validation sets by name; clips without a name are the set `validation`."""
-    return clips if isinstance(clips, Mapping) else {"validation": clips}
+    """Validation sets by name; clips without a name are the set `validation`.
 
-
-def _check_kept_set(config: TrainingConfig, sets: Mapping[str, Sequence[Path]]) -> None:
-    """Raise TrainingError if the weights that are best on a set are kept, and it has no clips."""
-    word, _, name = config.keep.partition(":")
-    known = [name for name, clips in sets.items() if clips]
-    if config.keep != "last" and (word != "best" or not known or name not in ("", *known)):
+    Raises TrainingError if the weights that are best on a set are kept, and it has no clips.
+    """
+    sets = clips if isinstance(clips, Mapping) else {"validation": clips}
+    word, _, name = keep.partition(":")
+    known = [name for name, folders in sets.items() if folders]
+    if keep != "last" and (word != "best" or not known or name not in ("", *known)):
         raise TrainingError(
-            f"cannot keep '{config.keep}': validation sets are {', '.join(known) or 'missing'}. "
+            f"cannot keep '{keep}': validation sets are {', '.join(known) or 'missing'}. "
             f"Choose {', '.join(['last', 'best', *(f'best:{each}' for each in known)])}"
         )
+    return sets
 
 
 def _describe(clips: Sequence[Path], pool: str) -> str:
@@ -163,30 +166,31 @@ def _describe(clips: Sequence[Path], pool: str) -> str:
 
 
 def _check_clips(
-    method: str, batches: Batches, sets: Mapping[str, Sequence[Path]], budgets: Sequence[float]
-) -> str:
-    """Which training clips limit the budgets, after a warning; empty if none does.
-
-    Raises BatchError for a clip that the method cannot train or validate on.
-    """
+    method: str,
+    clips: Sequence[Path],
+    sets: Mapping[str, Sequence[Path]],
+    crop: int,
+    budgets: Sequence[float],
+) -> None:
+    """Raise BatchError for a clip that the method cannot train or validate on."""
     traits = registry.get_variant(method).traits
-    clips = [*batches.clips, *batches.mixed_in]
-    own_clips.check_clips(method, traits, clips, batches.crop, budgets)
+    dataset.check_clips(method, traits, clips, crop, budgets)
     for folders in sets.values():
-        own_clips.check_clips(method, traits, folders, 0, budgets)
-    if limits := own_clips.describe_small_pools(batches.stored_clips, budgets):
+        dataset.check_clips(method, traits, folders, 0, budgets)
+
+
+def _describe_small_pools(method: str, batches: Batches, budgets: Sequence[float]) -> str:
+    """Which training clips limit the budgets, after a warning; empty if none does."""
+    if limits := dataset.describe_small_pools(batches.stored_clips, budgets):
         _logger.warning("%s: %s", method, limits)
     return limits
 
 
 def _validate(
     state: TrainState, progress: Progress, sets: Mapping[str, Sequence[Path]]
-) -> validation.ValidationResult:
+) -> ValidationResult:
     """Validate, append to the curves, and keep the averaged weights if they are the best so far."""
-    task, config, frames = state.task, state.config, progress.frames_seen
-    spp = validation.validation_budgets(task.method, task.spp, config.spp)
-    networks = (task.method, state.networks, state.ema_networks)
-    result = validation.validate(*networks, sets, spp, str(state.device))
+    config, frames, result = state.config, progress.frames_seen, state.validate(sets)
     progress.validation_history.append((frames, result.psnr))
     for name, score in result.sets.items():
         progress.curves.setdefault(name, []).append((frames, *score))
@@ -248,3 +252,78 @@ def _train_sequence(
 def _count_frames(clip: InMemoryClip) -> int:
     """Crops in a batch: each frame of each clip counts."""
     return len(clip) * clip.size.n
+
+
+def hidden_progress(title: str, frames: int) -> AbstractContextManager[OnProgress]:
+    """A progress bar that shows nothing."""
+    return nullcontext(lambda progress, loss: None)
+
+
+@dataclass(frozen=True)
+class TrainingRuns:
+    """How and where methods are trained."""
+
+    out: Path  # the folder of all runs
+    config: TrainingConfig
+    device: str = "cpu"
+    minutes: float = math.inf  # for each method
+    command: str = ""  # recorded in the model cards
+    allow_config_change: bool = False  # resume checkpoints that have a different config
+    progress_bar: ProgressBar = hidden_progress
+    suffix: str = ""  # of the folders of all runs
+    start: Path | None = None  # weights file from which new runs start
+
+    def folder(self, method: str, held_out_scene: str | None = None) -> Path:
+        """The folder of a run, as `run_folder` names it."""
+        return run_folder(self.out, method, held_out_scene, self.config.spp, self.suffix)
+
+    def check(self, methods: Sequence[str]) -> None:
+        """Raise TrainingError if one of the methods does not support a training budget."""
+        for method in methods:
+            _check_budgets(method, self.config)
+
+    def check_clips(self, methods: Sequence[str], split: TrainingSplit) -> None:
+        """Raise BatchError if one of the methods cannot use a clip of the split."""
+        for method in methods:
+            clips = [*split.train, *split.mixed_in]
+            _check_clips(method, clips, split.validation, self.config.crop, self.config.spp)
+
+    def train(self, method: str, split: TrainingSplit, held_out_scene: str | None = None) -> Path:
+        """Train a method, resume its run, or reuse it if it is finished; returns the weights.
+
+        Raises FolderInUseError where another process trains in the same folder.
+        """
+        folder = self.folder(method, held_out_scene)
+        with locked_folder(folder), self.progress_bar(method, self.config.frames) as on_progress:
+            result = train(
+                method,
+                split.train,
+                split.validation,
+                folder,
+                self.config,
+                self.device,
+                self.minutes,
+                self.command,
+                on_progress,
+                self.allow_config_change,
+                split.remark,
+                split.mixed_in,
+                self.start,
+            )
+        return result.weights
+
+
+def archive_run(folder: Path) -> Path | None:
+    """Rename the folder of a run to NAME.old-N; returns its new path, or None if there is none.
+
+    Raises FolderInUseError where another process trains in it.
+    """
+    if not folder.exists():
+        return None
+    with locked_folder(folder):
+        pass
+    number = 1
+    while (archived := folder.with_name(f"{folder.name}.old-{number}")).exists():
+        number += 1
+    folder.rename(archived)
+    return archived

@@ -19,9 +19,8 @@ from rlbench import registry
 from rlbench.system import paths
 from rlbench.training import dataset
 from rlbench.training.batches import Batches, sequence_budget
-from rlbench.training.config import TrainingConfig
 from rlbench.training.run_folder import run_folder
-from rlbench.training.task import TrainingTask
+from rlbench.training.task import TrainingConfig, TrainingTask
 from rlbench.training.train_state import NonFiniteStepError, TrainState
 
 __all__ = ["LrPoint", "LrRangeResult", "find_learning_rate"]

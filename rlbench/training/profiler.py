@@ -16,8 +16,7 @@ from rlbench import registry
 from rlbench.registry import discovery
 from rlbench.training import dataset
 from rlbench.training.batches import Batches, sequence_budget
-from rlbench.training.config import TrainingConfig
-from rlbench.training.task import TrainingTask
+from rlbench.training.task import TrainingConfig, TrainingTask
 from rlbench.training.train_state import TrainState
 
 __all__ = ["ProfiledPart", "TrainingProfile", "profile"]
@@ -127,7 +126,7 @@ def main(argv: Sequence[str] | None = None) -> str:
     options = parser.parse_args(argv)
     torch.set_num_threads(options.threads)
     pool = registry.get_variant(options.method).traits.pool
-    clips = options.clips or dataset.split_generated("train", pool_kinds={pool}).train
+    clips = options.clips or dataset.select_split(None, None, None, {pool}).train
     config = TrainingConfig(frames=options.frames, crop=options.crop, bf16=options.bf16)
     clock = time.process_time if options.cpu_time else time.perf_counter
     return profile(options.method, clips, config, options.device, clock).to_markdown()

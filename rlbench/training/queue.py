@@ -10,7 +10,7 @@ underscores; `[queue]` holds `at_once` and defaults of all entries:
     method = "ours/paper-A2"
     [[training]]
     method = "ours/paper"
-    start = "ours/paper-A2"  # a weights file, or a training of this queue, which then comes first
+    start = "ours/paper-A2"  # a training of this queue, which then comes first; a file; a row
     after = "nppd"           # starts when that one is finished; one name or a list
     name = "ours/longer"     # default: the method; needed where one method is trained twice
 
@@ -193,7 +193,8 @@ def _link(file: Path, entries: Sequence[Entry]) -> list[Entry]:
     linked = []
     for entry in entries:
         start = entry.options.get("start")
-        after = dict.fromkeys([*entry.after, *([start] if start in names else [])])
+        others = [name for name in names if name != entry.name]  # itself: from shipped weights
+        after = dict.fromkeys([*entry.after, *([start] if start in others else [])])
         if unknown := next((name for name in after if name not in names), ""):
             problem = f"{file}, training '{entry.name}': no training '{unknown}' to come after"
             raise QueueError(unknown_name(problem, unknown, names))

@@ -1,4 +1,4 @@
-"""How to make a method trainable: return its networks, losses and budgets as a `TrainingTask`.
+"""How to make a method trainable (its `TrainingTask`), and how to train it (`TrainingConfig`).
 
 Write a function that takes the variant's name, a device and a seed, and returns a `TrainingTask`.
 Name the function in the family: `Family(..., train="my_method.train:training_task")`. Then
@@ -54,21 +54,36 @@ Rules for `losses`:
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Iterator, Mapping
-from dataclasses import dataclass, field
-
-from torch import Tensor, nn
+from dataclasses import asdict, dataclass, field, fields
+from typing import TYPE_CHECKING, Any
 
 from rlbench.errors import RlbenchError
-from rlbench.frames import Clip
-from rlbench.method import Method
 
-__all__ = ["BUDGETS_FROM_0_05_SPP", "BUDGETS_FROM_1_SPP", "TrainingError", "TrainingTask"]
+if TYPE_CHECKING:
+    from torch import Tensor, nn
+
+    from rlbench.frames import Clip
+    from rlbench.method import Method
+
+__all__ = [
+    "BUDGETS_FROM_0_05_SPP",
+    "BUDGETS_FROM_1_SPP",
+    "TrainingConfig",
+    "TrainingError",
+    "TrainingTask",
+]
 
 # training budgets in samples per pixel, for methods that need a sample in every pixel; repeated
 # values are drawn more often
 BUDGETS_FROM_1_SPP = (1.0, 1.0, 2.0, 2.0, 4.0, 4.0, 6.0)
 BUDGETS_FROM_0_05_SPP = (0.05, 0.25, 0.5, *BUDGETS_FROM_1_SPP)  # for methods that need none
+
+WARM_UP_FRACTION = 0.15  # of the frames, in which the learning rate rises
+START_FACTOR, END_FACTOR = 1 / 25, 1e-4  # first and last learning rate, relative to the peak
+
+OPTIONAL = ("spp", "mix", "keep", "anchor")  # fields that are stored only where they are chosen
 
 
 class TrainingError(RlbenchError, RuntimeError):
@@ -99,4 +114,72 @@ class TrainingTask:
     # called before each sequence with the fraction of frames trained on, in [0, 1)
     on_progress: Callable[[float], None] = ignore_progress
     origin: str = ""  # source of the initial weights, for the model card; empty if random
+    # beginnings of the names of weights in `networks` that others trained before; "" is all of them
+    pretrained: tuple[str, ...] = ()
     auxiliary_network: nn.Module | None = None
+    frames_before: int = 0  # that the initial weights were trained on, over all starts
+
+
+@dataclass(frozen=True)
+class TrainingConfig:
+    """How a method is trained; use the same values for all methods that are compared."""
+
+    frames: int = 12_000  # crops to train on; each frame of each clip in a batch counts
+    batch: int = 1  # clips in a batch; on few frames, more steps are worth more
+    crop: int = 128  # side of a crop, pixels
+    sequence_length: int = 6  # frames
+    ema_decay: float = 0.998  # of the averaged weights, which are validated and saved
+    seed: int = 0
+    max_grad_norm: float = 1.0  # longer gradients are scaled down to this L2 norm
+    bf16: bool = False  # bfloat16 autocast of the forward pass
+    eval_interval: int = 1_000  # frames between validations, and between checkpoints
+    spp: tuple[float, ...] = ()  # training budgets; empty for those of the method's TrainingTask
+    mix: float = 0.0  # share of crops from clips that are mixed in; 0 without such clips
+    # weights that are saved: the last average, or that of the best validation by the mean over
+    # the validation sets ("best") or by one of them ("best:NAME")
+    keep: str = "last"
+    # pull towards the first values of weights that others trained before (L2-SP); 0: none
+    anchor: float = 0.0
+
+    @classmethod
+    def from_dict(cls, stored: Mapping[str, Any]) -> TrainingConfig:
+        """The config in a stored dictionary, such as the JSON of a model card.
+
+        Ignores keys that are no field.
+        """
+        names = {field.name for field in fields(cls)}
+        values = {key: value for key, value in stored.items() if key in names}
+        return cls(**values | {"spp": tuple(values.get("spp", ()))})
+
+    def to_dict(self) -> dict[str, Any]:
+        """The config as it is stored in JSON, with `OPTIONAL` fields only where they are chosen."""
+        stored = asdict(self) | {"spp": list(self.spp)}
+        return {
+            name: value
+            for name, value in stored.items()
+            if name not in OPTIONAL or getattr(self, name) != getattr(TrainingConfig, name)
+        }
+
+    @property
+    def keeps_best(self) -> bool:
+        """Are the weights of the best validation saved, instead of the last ones?"""
+        return self.keep != "last"
+
+    def lr_factor(self, frames_seen: int) -> float:
+        """One-cycle learning rate after `frames_seen` frames, relative to the peak, in (0, 1].
+
+        It rises by a half cosine, then falls by one (Smith and Topin 2018), as in torch's
+        OneCycleLR with pct_start 0.15, div_factor 25, final_div_factor 400 (1e4 / 25). Kept as a
+        pure function, because OneCycleLR has a state that a checkpoint would have to contain, and
+        counts steps, whose number is not known in advance; a test compares the two.
+
+        >>> config = TrainingConfig(frames=1000)
+        >>> [config.lr_factor(frames) for frames in (0, 150, 1000)]
+        [0.04, 1.0, 0.0001]
+        """
+        fraction = min(frames_seen / self.frames, 1.0)
+        if fraction < WARM_UP_FRACTION:
+            low, position = START_FACTOR, fraction / WARM_UP_FRACTION
+        else:
+            low, position = END_FACTOR, 1 - (fraction - WARM_UP_FRACTION) / (1 - WARM_UP_FRACTION)
+        return low + (1.0 - low) * (1 - math.cos(math.pi * position)) / 2

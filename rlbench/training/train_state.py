@@ -1,61 +1,95 @@
-"""The state of a training run: networks, their moving average and the optimiser; one step."""
+"""The state of a training run: networks, average and optimiser; its steps and its validation."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping
+import copy
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from pathlib import Path
+from statistics import fmean
 from typing import Any, NamedTuple
 
 import torch
+from jaxtyping import Float
 from torch import Tensor, nn
 from torch.optim.swa_utils import AveragedModel
 
+from rlbench import registry
+from rlbench.clips.stored import open_clip
 from rlbench.frames import Clip
+from rlbench.method import Method
+from rlbench.run import run_clip
 from rlbench.training.checkpoint import select_prefix
-from rlbench.training.config import TrainingConfig
-from rlbench.training.task import TrainingError, TrainingTask
+from rlbench.training.task import TrainingConfig, TrainingError, TrainingTask
 
-__all__ = ["NonFiniteStep", "NonFiniteStepError", "TrainState", "warmed_up_ema"]
+__all__ = [
+    "NonFiniteStepError",
+    "SetScore",
+    "TrainState",
+    "ValidationResult",
+    "validate",
+    "validation_budgets",
+    "warmed_up_ema",
+]
 
+DEFAULT_BUDGETS = (1.0, 4.0)  # of a validation, samples per pixel
 MAX_LAYERS_SHOWN = 3  # in an error message
 
 Tensors = tuple[Tensor, ...] | list[Tensor]
 
 
-class NonFiniteStep(NamedTuple):
-    """A loss or gradient norm that is not finite, and where it occurred."""
-
-    quantity: str  # the loss, or the gradient norm of a network
-    value: float
-    step: int  # within the sequence, from 0
-    layers: tuple[str, ...]  # parameters whose values or gradients are not finite
-
-    def __str__(self) -> str:
-        """One line for an error message."""
-        message = f"{self.quantity} is {self.value} at step {self.step} of the sequence"
-        if not self.layers:
-            return message
-        hidden = len(self.layers) - MAX_LAYERS_SHOWN
-        more = f" and {hidden} more" if hidden > 0 else ""
-        return f"{message}, not finite in {', '.join(self.layers[:MAX_LAYERS_SHOWN])}{more}"
-
-
 class NonFiniteStepError(TrainingError):
     """A step that was not taken, because it would have made the weights non-finite."""
 
-    def __init__(self, failure: NonFiniteStep) -> None:
-        """Store the failure and use it as the message."""
-        super().__init__(str(failure))
-        self.failure = failure
+    def __init__(self, quantity: str, value: float, step: int, layers: Sequence[str]) -> None:
+        """`quantity` is the loss or a gradient norm; `step` counts from 0 within the sequence.
+
+        `layers` are the parameters whose values or gradients are not finite.
+        """
+        message = f"{quantity} is {value} at step {step} of the sequence"
+        if layers:
+            hidden = len(layers) - MAX_LAYERS_SHOWN
+            more = f" and {hidden} more" if hidden > 0 else ""
+            message += f", not finite in {', '.join(layers[:MAX_LAYERS_SHOWN])}{more}"
+        super().__init__(message)
+        self.step, self.layers = step, layers
+
+
+class SetScore(NamedTuple):
+    """The score of one validation set, in dB."""
+
+    psnr: float  # mean over clips, budgets and frames
+    first_frames: float  # mean over clips and budgets of the first frame, which has no history
+
+
+class ValidationResult(NamedTuple):
+    """The scores of one validation, and an image to look at."""
+
+    sets: dict[str, SetScore]  # by name of the validation set
+    preview: Float[Tensor, "3 h w"] | None  # last frame of the first clip, reference on its right
+
+    @property
+    def psnr(self) -> float:
+        """Mean PSNR over the validation sets, dB; 0 without any."""
+        return fmean(score.psnr for score in self.sets.values()) if self.sets else 0.0
 
 
 class TrainState:
     """The networks of a training task with their optimiser and exponential moving average (EMA).
 
-    The optimiser is Adam (Kingma and Ba 2015).
+    The optimiser is Adam (Kingma and Ba 2015). With `config.anchor` a > 0, pretrained weights are
+    pulled towards their start w0 by the penalty a / 2 |w - w0|^2 (L2-SP: Li, Grandvalet, Davoine
+    2018, Explicit Inductive Bias for Transfer Learning with Convolutional Networks). It acts beside
+    Adam, as in AdamW, because Adam would undo its scale, and by its proximal step,
+    w <- w0 + (w - w0) / (1 + rate * a), which is stable for any a: as a step of Adam is about as
+    long as its rate, a weight moves no further than about 1 / a. Weights that start at exactly 0,
+    such as those of new channels, are free.
     """
 
     def __init__(self, task: TrainingTask, config: TrainingConfig, device: str) -> None:
-        """Start from the weights in `task.networks`."""
+        """Start from the weights in `task.networks`.
+
+        Raises TrainingError for an anchor where no weight was trained before.
+        """
         self.task, self.config, self.device = task, config, torch.device(device)
         self.networks = task.networks
         self.networks.to(memory_format=torch.channels_last)  # type: ignore[call-overload]
@@ -67,6 +101,7 @@ class TrainState:
         self._modules = {"the networks": self.networks}  # gradients are clipped for each
         if task.auxiliary_network is not None:
             self._modules["the auxiliary network"] = task.auxiliary_network
+        self._anchors = _first_values(task) if config.anchor else {}
 
     @property
     def ema_networks(self) -> nn.Module:
@@ -101,6 +136,19 @@ class TrainState:
             self._update_ema()
             total, count = total + loss.item(), count + 1
         return total / max(count, 1)
+
+    def validate(self, sets: Mapping[str, Sequence[Path]]) -> ValidationResult:
+        """Score the averaged weights, see `validate`, at the `validation_budgets`.
+
+        The networks get their own weights back, and are left in evaluation mode.
+        """
+        trained = copy.deepcopy(self.networks.state_dict())
+        self.networks.load_state_dict(self.ema_networks.state_dict())
+        self.networks.eval()
+        spp = validation_budgets(self.task.method, self.task.spp, self.config.spp)
+        result = validate(self.task.method, sets, spp, str(self.device))
+        self.networks.load_state_dict(trained)
+        return result
 
     def state_dict(self) -> dict[str, Tensor]:
         """All tensors of the run by name, for a checkpoint; they are not copied."""
@@ -152,6 +200,11 @@ class TrainState:
 
     def _step(self) -> None:
         self.optimizer.step()
+        for group in self.optimizer.param_groups if self._anchors else ():
+            pull = 1 - 1 / (1 + group["lr"] * self.config.anchor)
+            for weight in group["params"]:
+                if (start := self._anchors.get(weight)) is not None:
+                    weight.data.lerp_(start, pull * (start != 0))
 
     def _update_ema(self) -> None:
         self.ema.update_parameters(self.networks)
@@ -165,7 +218,22 @@ class TrainState:
             for name, weight in module.named_parameters()
             if not all(bool(t.isfinite().all()) for t in (weight, weight.grad) if t is not None)
         ]
-        raise NonFiniteStepError(NonFiniteStep(quantity, value.item(), step, tuple(layers)))
+        raise NonFiniteStepError(quantity, value.item(), step, layers)
+
+
+def _first_values(task: TrainingTask) -> dict[nn.Parameter, Tensor]:
+    """A copy of each weight that was trained before."""
+    first = {
+        weight: weight.detach().clone()
+        for name, weight in task.networks.named_parameters()
+        if name.startswith(task.pretrained)
+    }
+    if not first:
+        raise TrainingError(
+            "--anchor keeps weights near those that training starts from, and all of these are "
+            "random. Name weights with --start, or omit --anchor"
+        )
+    return first
 
 
 def _parameter_groups(task: TrainingTask) -> list[dict[str, Any]]:
@@ -197,3 +265,45 @@ def warmed_up_ema(decay: float) -> Callable[[Tensors, Tensors, Tensor | int], No
             torch._foreach_copy_(average, current)
 
     return update
+
+
+def validation_budgets(
+    method: Method, training_budgets: Sequence[float], requested: Sequence[float]
+) -> list[float]:
+    """The budgets to validate at, in samples per pixel.
+
+    1 and 4 spp if the method supports both and no training budgets were `requested`. Otherwise the
+    smallest and the largest budget that the method is trained at.
+    """
+    unsupported = any(method.traits.unsupported_reason(spp) for spp in DEFAULT_BUDGETS)
+    if not requested and not unsupported:
+        return list(DEFAULT_BUDGETS)
+    return sorted({min(requested or training_budgets), max(requested or training_budgets)})
+
+
+def validate(
+    method: Method, sets: Mapping[str, Sequence[Path]], spp: Sequence[float], device: str
+) -> ValidationResult:
+    """Mean PSNR of a method on each set of clips, at each budget in `spp`.
+
+    A clip with fewer samples than a budget is validated with all that it has.
+    """
+    psnr = registry.load_plugin("metrics", "psnr")
+    scores: dict[str, SetScore] = {}
+    preview = None
+    for name, folders in sets.items():
+        frames, first_frames = [], []
+        for folder in folders:
+            clip = open_clip(folder, method.traits.inputs, pool=method.traits.pool, device=device)
+            for budget in sorted({min(each, float(clip.max_samples)) for each in spp}):
+                psnrs = []
+                for result in run_clip(method, clip, budget):
+                    reference = result.frame.reference
+                    compared = psnr.compare(result.image, reference.half_a, reference.half_b)
+                    psnrs += psnr.score(compared).tolist()
+                frames += psnrs
+                first_frames += psnrs[:1]
+                if preview is None:
+                    preview = torch.cat((result.image[0], reference.mean[0]), dim=-1)
+        scores[name] = SetScore(fmean(frames or [0.0]), fmean(first_frames or [0.0]))
+    return ValidationResult(scores, preview)

@@ -16,9 +16,9 @@ from rlbench.benchmark.crossval import Fold, crossval, row_names, variant_to_tra
 from rlbench.benchmark.run_plan import RunPlan
 from rlbench.benchmark.runner import ProgressCallbacks, RunSummary
 from rlbench.cli.app import app
-from rlbench.training.config import TrainingConfig
 from rlbench.training.dataset import TrainingSplit
-from rlbench.training.runs import TrainingRuns
+from rlbench.training.loop import TrainingRuns
+from rlbench.training.task import TrainingConfig
 from rlbench.weights import read_card
 from tests.conftest import write_noise
 from tests.learning_plugin import write_learner

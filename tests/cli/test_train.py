@@ -9,7 +9,7 @@ import pytest
 
 from rlbench.render.presets import PRESETS
 from rlbench.training import dataset
-from rlbench.training.runs import TrainingRuns
+from rlbench.training.loop import TrainingRuns
 from rlbench.weights import read_card
 from tests.cli.runner import rlbench
 from tests.learning_plugin import write_learner

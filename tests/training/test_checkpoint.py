@@ -1,17 +1,33 @@
-"""Checkpoints: everything is restored, and files that were changed are refused."""
+"""Checkpoints restore everything, progress makes a note, weights state where they started."""
 
 from __future__ import annotations
 
 import pytest
 import torch
 from safetensors.torch import save_file
+from torch import nn
 
 from rlbench import registry
+from rlbench.cli import console
 from rlbench.clips.procedural.clip import procedural_clip
 from rlbench.frames import Size
-from rlbench.training import Progress, TrainingConfig, TrainingTask, checkpoint
-from rlbench.training.checkpoint import CheckpointError
+from rlbench.training import (
+    Progress,
+    TrainingConfig,
+    TrainingError,
+    TrainingTask,
+    checkpoint,
+    train,
+)
+from rlbench.training.checkpoint import (
+    CheckpointError,
+    combine_digests,
+    describe_changes,
+    start_from,
+)
 from rlbench.training.train_state import TrainState
+from rlbench.weights import ModelCard, WeightsError, read_card, save
+from tests.learning_plugin import write_learner
 
 
 def linear_state() -> TrainState:
@@ -81,3 +97,114 @@ def test_a_checkpoint_whose_progress_is_no_object_is_refused(tmp_path, progress)
 def test_progress_of_wrong_types_is_refused(stored, message):
     with pytest.raises(CheckpointError, match=f"{message}.*Choose another --out"):
         Progress.from_dict(stored)
+
+
+def test_the_progress_bar_shows_loss_validation_and_speed():
+    history = [(3, 20.0), (6, 21.5)]
+    progress = Progress(frames_seen=6, frames_per_second=12.34, validation_history=history)
+    status = console.training_status(progress, 0.12345)
+    assert status == "loss 0.1235, validation 21.50 dB, 12.3 frames/s"
+    assert console.training_status(Progress(), 1.0) == "loss 1.0000, 0.0 frames/s"
+
+
+def test_the_progress_bar_shows_each_of_several_validation_sets():
+    curves = {"train": [(3, 20.0, 18.0)], "real": [(3, 24.0, 21.0)]}
+    progress = Progress(validation_history=[(3, 22.0)], curves=curves)
+    status = console.training_status(progress, 0.5)
+    assert status == "loss 0.5000, validation 22.00 dB (train 20.00, real 24.00), 0.0 frames/s"
+
+
+def test_many_clips_of_a_changed_config_are_counted():
+    clips = [f"shot-{number} 0123" for number in range(9)]
+    (change,) = describe_changes({"data": clips}, {"data": clips[:1]})
+    assert change == f"data 9 clips {combine_digests(clips)} -> ['shot-0 0123']"
+
+
+@pytest.mark.parametrize(
+    ("frames", "history", "expected"),
+    [
+        (500, [], "stopped at 500 of 3000 frames"),
+        (3000, [(1000, 20.0), (2000, 24.0), (3000, 24.5)], "rose by 0.50 dB in the last fifth"),
+        (3000, [(1000, 20.0), (2000, 24.0), (3000, 24.05)], ""),
+        (3000, [(1000, 20.0), (2000, 24.0), (3000, 23.0)], ""),
+        (1000, [(1000, 20.0)], "stopped"),
+    ],
+)
+def test_the_note_says_if_training_was_too_short(frames, history, expected):
+    note = Progress(frames_seen=frames, validation_history=history).note(3000)
+    assert expected in note
+    assert bool(note) == bool(expected)
+
+
+@pytest.mark.parametrize(
+    ("rises", "trend"),
+    [([], ""), ([3.0], ""), ([3.0] + [0.0] * 9, "flat"), ([0.03] * 10, "flat")]
+    + [([0.06] * 10, "rising"), ([1.0, 1.0], "rising"), ([1.0, -1.0], "flat")],
+)
+def test_the_trend_is_that_of_the_last_fifth(rises, trend):
+    history = [(1000 * n, sum(rises[:n])) for n in range(1, len(rises) + 1)]
+    assert Progress(validation_history=history).trend == trend
+
+
+def test_a_change_of_the_config_is_noted_with_its_frame():
+    progress = Progress(frames_seen=9, config={"bf16": True, "crop": 16})
+    progress.switch_config({"bf16": False, "crop": 16})
+    assert progress.note(9) == "after 9 frames: bf16 True -> False"
+    assert progress.config == {"bf16": False, "crop": 16}
+
+
+def networks(width: int = 4) -> nn.Module:
+    return nn.ModuleDict({"same": nn.Linear(2, 3), "other": nn.Linear(3, width)})
+
+
+@pytest.fixture
+def stored(tmp_path):
+    file = tmp_path / "stored.safetensors"
+    module = networks()
+    save(module, file, ModelCard(name="blur", frames_seen=9))
+    return file, module
+
+
+def task_of(module: nn.Module) -> TrainingTask:
+    return TrainingTask(registry.load_method("mean"), module, lambda clip, spp: iter(()), (1.0,))
+
+
+def test_tensors_of_equal_name_and_shape_are_taken_and_others_kept(stored, caplog):
+    file, module = stored
+    started = networks(width=5)
+    kept = started["other"].weight.clone()
+    task = start_from(task_of(started), file)
+    assert torch.equal(started["same"].weight, module["same"].weight.half().float())
+    assert torch.equal(started["other"].weight, kept)
+    assert task.origin.startswith("blur after 9 frames, ")
+    assert task.origin.endswith("(2 of 4 tensors)")
+    assert (sorted(task.pretrained), task.frames_before) == (["same.bias", "same.weight"], 9)
+    expected = "same.bias, same.weight; initial values: other.bias, other.weight"
+    assert caplog.messages[-1].endswith(expected)
+
+
+def test_weights_with_no_such_tensor_are_refused(stored):
+    with pytest.raises(TrainingError, match="no tensor of .* has the name and shape"):
+        start_from(task_of(nn.Linear(7, 7)), stored[0])
+
+
+def test_weights_without_a_card_are_refused(stored):
+    stored[0].with_suffix(".toml").unlink()
+    with pytest.raises(WeightsError, match="is missing"):
+        start_from(task_of(networks()), stored[0])
+
+
+def test_a_run_records_its_start_and_refuses_another(tmp_path, clip_folder):
+    registry.use_plugin(write_learner(tmp_path))
+    config = TrainingConfig(frames=6, crop=16, sequence_length=3)
+    arguments = ("blur", [clip_folder], [clip_folder])
+    first = train(*arguments, tmp_path / "first", config).weights
+    second = train(*arguments, tmp_path / "second", config, start=first).weights
+    card = read_card(second)
+    assert card.origin.startswith("blur after 6 frames, ")
+    assert (card.frames_before, card.frames_seen, card.frames_trained) == (6, 6, 12)
+    third = train(*arguments, tmp_path / "third", config, start=second).weights
+    assert read_card(third).frames_trained == 18
+    assert train(*arguments, tmp_path / "second", config, start=first).weights == second
+    with pytest.raises(TrainingError, match="changed: start blur after 6 frames"):
+        train(*arguments, tmp_path / "second", config)

@@ -7,6 +7,8 @@ import os
 import signal
 import subprocess
 import sys
+from contextlib import contextmanager
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -14,8 +16,10 @@ import safetensors.torch
 import torch
 
 from rlbench import registry
-from rlbench.training import TrainingConfig, TrainingError, checkpoint, logger, train, validation
-from rlbench.training.train_state import TrainState
+from rlbench.training import TrainingConfig, TrainingError, checkpoint, run_folder, train
+from rlbench.training.dataset import TrainingSplit
+from rlbench.training.loop import TrainingRuns, archive_run
+from rlbench.training.train_state import SetScore, TrainState
 from rlbench.weights import ModelCard, digest, read_card
 from tests.conftest import write_noise
 from tests.learning_plugin import write_learner
@@ -38,18 +42,22 @@ def kill_after(sequences: int | None):
     return on_progress
 
 
-def train_oidn(out: Path, clip: Path, sequences: int | None = None) -> tuple[ModelCard, str]:
+def train_oidn(
+    out: Path, clip: Path, sequences: int | None = None, row: str = "retrained", anchor: float = 0.0
+) -> tuple[ModelCard, str]:
     """OIDN trained on four sequences of a tiny clip; its card and the hash of its weights."""
-    train("oidn/retrained", [clip], [clip], out, OIDN, on_progress=kill_after(sequences))
-    return read_card(out / "retrained.safetensors"), digest(out / "retrained.safetensors")
+    config = replace(OIDN, anchor=anchor)
+    train(f"oidn/{row}", [clip], [clip], out, config, on_progress=kill_after(sequences))
+    return read_card(out / f"{row}.safetensors"), digest(out / f"{row}.safetensors")
 
 
-def test_a_killed_run_ends_as_an_undisturbed_one(tmp_path):
+@pytest.mark.parametrize("chosen", [("retrained", 0.0), ("tuned", 30.0)], ids=str)
+def test_a_killed_run_ends_as_an_undisturbed_one(tmp_path, chosen):
     clip = write_noise(tmp_path / "clips" / "noise", h=32, w=32)
-    with pytest.raises(KilledError):
-        train_oidn(tmp_path / "killed", clip, 3)  # one sequence after the only checkpoint
-    resumed, resumed_hash = train_oidn(tmp_path / "killed", clip)
-    card, expected_hash = train_oidn(tmp_path / "undisturbed", clip)
+    with pytest.raises(KilledError):  # one sequence after the only checkpoint
+        train_oidn(tmp_path / "killed", clip, 3, *chosen)
+    resumed, resumed_hash = train_oidn(tmp_path / "killed", clip, None, *chosen)
+    card, expected_hash = train_oidn(tmp_path / "undisturbed", clip, None, *chosen)
     assert resumed_hash == expected_hash
     assert (resumed.frames_seen, resumed.steps) == (card.frames_seen, card.steps) == (24, 12)
     assert resumed.validation_history == card.validation_history
@@ -117,13 +125,13 @@ def test_an_auxiliary_network_is_in_checkpoints_and_not_in_the_weights_file(tmp_
 def rising_then_falling(monkeypatch) -> None:
     """Validation of a real training, whose best of four PSNRs is made the second."""
     scores = iter((20.0, 25.0, 22.0, 21.0))
-    validate = validation.validate
+    validate = TrainState.validate
 
-    def scored(*arguments):
-        result = validate(*arguments)
-        return result._replace(sets={"own": validation.SetScore(next(scores), 19.0)})
+    def scored(state, sets):
+        result = validate(state, sets)
+        return result._replace(sets={"own": SetScore(next(scores), 19.0)})
 
-    monkeypatch.setattr(validation, "validate", scored)
+    monkeypatch.setattr(TrainState, "validate", scored)
 
 
 def test_the_weights_of_the_best_validation_are_kept_and_a_kill_loses_none(tmp_path, monkeypatch):
@@ -166,8 +174,8 @@ def test_other_programs_read_the_state_of_a_run_from_its_folder(tmp_path):
     config = TrainingConfig(12, crop=16, sequence_length=3, eval_interval=6)
     sets = {"one": [clip], "two": [clip]}
     result = train("blur", [clip], sets, tmp_path / "run", config)
-    status = json.loads((tmp_path / "run" / logger.STATUS).read_text())
-    last = json.loads((tmp_path / "run" / logger.LOG).read_text().splitlines()[-1])
+    status = json.loads((tmp_path / "run" / run_folder.STATUS).read_text())
+    last = json.loads((tmp_path / "run" / run_folder.LOG).read_text().splitlines()[-1])
     assert (status["method"], status["frames"], status["frames_seen"]) == ("blur", 12, 12)
     assert status["finished"]
     assert status["validation"] == last["validation"]
@@ -261,3 +269,62 @@ def test_a_run_that_was_killed_while_it_wrote_its_weights_writes_them(tmp_path, 
     train("oidn/retrained", [clip], [clip], out, OIDN)
     assert read_card(out / "retrained.safetensors").sha256 == expected
     assert digest(out / "retrained.safetensors") == expected
+
+
+@pytest.mark.parametrize(
+    ("spp", "arguments", "name"),
+    [
+        ((), ("ours/A2",), "ours-A2"),
+        ((), ("ours", "hall"), "ours-without-hall"),
+        ((0.5, 4.0), ("ours",), "ours-0.5+4spp"),
+        ((0.5, 4.0), ("ours", "hall"), "ours-without-hall-0.5+4spp"),
+    ],
+)
+def test_each_variant_fold_and_choice_of_budgets_has_its_own_folder(tmp_path, spp, arguments, name):
+    runs = TrainingRuns(tmp_path, TrainingConfig(spp=spp))
+    assert runs.folder(*arguments) == tmp_path / name
+
+
+def test_an_archived_run_does_not_replace_older_ones(tmp_path):
+    folder = tmp_path / "ours"
+    assert archive_run(folder) is None
+    for number in (1, 2):
+        folder.mkdir()
+        (folder / "log").write_text(str(number))
+        assert archive_run(folder) == tmp_path / f"ours.old-{number}"
+    assert [(tmp_path / f"ours.old-{n}" / "log").read_text() for n in (1, 2)] == ["1", "2"]
+
+
+def test_a_budget_that_one_of_the_methods_does_not_support_is_refused(tmp_path):
+    runs = TrainingRuns(tmp_path, TrainingConfig(spp=(0.5,)))
+    with pytest.raises(TrainingError, match="'ntas' cannot be trained at 0.5 spp"):
+        runs.check(["ours", "ntas"])
+
+
+class RecordingBar:
+    """A progress bar that records its calls."""
+
+    def __init__(self) -> None:
+        self.opened: list[tuple[str, int]] = []
+        self.frames: list[int] = []
+
+    @contextmanager
+    def __call__(self, title: str, frames: int):
+        self.opened.append((title, frames))
+        yield lambda progress, loss: self.frames.append(progress.frames_seen)
+
+
+@pytest.fixture
+def split(tmp_path: Path) -> TrainingSplit:
+    registry.use_plugin(write_learner(tmp_path))
+    clip = write_noise(tmp_path / "clips" / "noise", h=24, w=24)
+    return TrainingSplit([clip], {"noise": [clip]})
+
+
+def test_training_shows_its_progress_in_the_given_bar(tmp_path, split):
+    bar = RecordingBar()
+    config = TrainingConfig(frames=6, crop=16, sequence_length=3)
+    weights = TrainingRuns(tmp_path / "runs", config, progress_bar=bar).train("blur", split)
+    assert weights == tmp_path / "runs" / "blur" / "blur.safetensors"
+    assert weights.exists()
+    assert (bar.opened, bar.frames) == ([("blur", 6)], [3, 6])

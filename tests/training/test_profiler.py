@@ -5,8 +5,8 @@ from __future__ import annotations
 import pytest
 
 from rlbench import registry
-from rlbench.training.config import TrainingConfig
 from rlbench.training.profiler import PARTS, main, profile
+from rlbench.training.task import TrainingConfig
 from tests.conftest import write_noise
 from tests.learning_plugin import write_learner
 

@@ -56,6 +56,8 @@ def test_an_entry_comes_after_the_one_that_it_starts_from(tmp_path):
     content = read(tmp_path, start + ROWS)
     assert content.entries[0].after == ("a",)
     assert [entry.name for entry in content.in_running_order()] == ["b", "a", "c"]
+    own = read(tmp_path, "[[training]]\nmethod = 'a'\nstart = 'a'\n")  # from shipped weights
+    assert own.entries[0].after == ()
 
 
 @pytest.mark.parametrize(

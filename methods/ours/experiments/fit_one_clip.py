@@ -20,7 +20,7 @@ from rlbench.clips.stored import open_clip
 from rlbench.method import Method
 from rlbench.run import run_clip
 from rlbench.training.batches import Batches
-from rlbench.training.config import TrainingConfig
+from rlbench.training.task import TrainingConfig
 from rlbench.training.train_state import TrainState
 
 __all__ = ["fit", "score"]

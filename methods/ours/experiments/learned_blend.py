@@ -27,7 +27,6 @@ from torch.nn import functional as F
 
 from baselines.accumulate.memory import History
 from baselines.accumulate.method import BLEND, Accumulate
-from metrics.psnr import decibels
 from rlbench import registry
 from rlbench.clips.stored import open_clip
 from rlbench.ops.color import encode_srgb, luminance
@@ -35,6 +34,7 @@ from rlbench.ops.reprojection import reproject, reproject_bicubic
 from rlbench.ops.transfer import log_inverse
 from rlbench.run import run_clip
 
+MIN_MSE = 1e-10  # 100 dB
 PROGRAM = "python -m methods.ours.experiments.learned_blend"
 RULE = "accumulate/tuned"
 WIDTH, INPUTS = 16, 15
@@ -228,7 +228,7 @@ def main() -> None:
         scored = [record_clip(recorder, folder, spp) for folder in arguments.score]
         for name, weigh in blends.items():
             errors = [torch.stack(blend_frames(frames, weigh)) for frames in scored]
-            psnr = fmean(decibels(error).mean().item() for error in errors)
+            psnr = fmean((-10 * error.clamp_min(MIN_MSE).log10()).mean().item() for error in errors)
             console.print(f"{spp:g} spp  {name:28} {psnr:.2f} dB")
 
 

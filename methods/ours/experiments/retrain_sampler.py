@@ -25,9 +25,9 @@ from methods.ours.policy import LEARNERS, RLLIB_APPO, BlockPolicyGradient, appo,
 from methods.ours.problem import SamplingEnv
 from rlbench.ops.init import kaiming_init
 from rlbench.system import paths
-from rlbench.training import validation
 from rlbench.training.batches import Batches
 from rlbench.training.task import BUDGETS_FROM_0_05_SPP
+from rlbench.training.train_state import validate, validation_budgets
 from rlbench.weights import ModelCard, load_for_inference, read_card, save
 
 __all__ = ["SamplerTask", "retrain", "train_by_learner"]
@@ -142,7 +142,12 @@ def train_by_rllib(task: SamplerTask, frames: int, on_progress: OnProgress) -> n
 
 
 def retrain(
-    name: str, task: SamplerTask, frames: int, validate: list[Path], out: Path, command: str
+    name: str,
+    task: SamplerTask,
+    frames: int,
+    validation_clips: list[Path],
+    out: Path,
+    command: str,
 ) -> dict[str, float]:
     """Train, and write OUT/NAME.safetensors with its card.
 
@@ -160,12 +165,12 @@ def retrain(
             sampler = train_by_learner(name, task, frames, on_progress)
     method = task.make_method()
     networks = method.networks
-    spp = validation.validation_budgets(method, BUDGETS_FROM_0_05_SPP, ())
+    spp = validation_budgets(method, BUDGETS_FROM_0_05_SPP, ())
     assert networks.sampler is not None
-    scored = (method, networks, networks, {"validation": validate}, spp, "cpu")
-    psnr = {"untrained": validation.validate(*scored).psnr}
+    scored = (method, {"validation": validation_clips}, spp, "cpu")
+    psnr = {"untrained": validate(*scored).psnr}
     networks.sampler.load_state_dict(sampler.state_dict())
-    psnr[name] = validation.validate(*scored).psnr
+    psnr[name] = validate(*scored).psnr
     save(networks, out / f"{name}.safetensors", _card(name, task, frames, psnr, command))
     return psnr
 

@@ -10,6 +10,7 @@ import torch
 
 from methods.ours.method import CARDS
 from rlbench.training import TrainingConfig
+from rlbench.training.task import OPTIONAL
 from rlbench.weights import read_card
 
 
@@ -50,21 +51,12 @@ def test_a_config_in_json_is_read_back():
     assert TrainingConfig.from_dict(json.loads(json.dumps(config.to_dict()))) == config
 
 
-def test_budgets_are_in_the_json_only_if_they_are_not_the_methods_own():
-    stored = {
-        "frames": 24,
-        "batch": 1,
-        "crop": 16,
-        "sequence_length": 3,
-        "ema_decay": 0.998,
-        "seed": 0,
-        "max_grad_norm": 1.0,
-        "bf16": False,
-        "eval_interval": 1000,
-    }
-    assert TrainingConfig(24, crop=16, sequence_length=3).to_dict() == stored
-    with_budgets = TrainingConfig(24, crop=16, sequence_length=3, spp=(4.0,))
-    assert with_budgets.to_dict() == {**stored, "spp": [4.0]}
+def test_optional_fields_are_in_the_json_only_if_they_are_chosen():
+    stored = TrainingConfig(24).to_dict()
+    assert stored == {key: value for key, value in stored.items() if key not in OPTIONAL}
+    chosen = {"spp": (4.0,), "mix": 0.5, "keep": "best", "anchor": 30.0}
+    assert TrainingConfig(24, **chosen).to_dict() == stored | chosen | {"spp": [4.0]}
+    assert set(chosen) == set(OPTIONAL)
 
 
 def test_the_config_in_the_card_of_shipped_weights_is_read():
