@@ -36,11 +36,11 @@ def _image_flicker(frame: Comparison) -> Tensor:
     from metrics.temporal import change_of_error, flicker
 
     def step(newer: Any) -> Any:
-        images = (
+        image, previous = (
             each.display_image.masked_fill(each.nonfinite_mask, float("nan"))
             for each in (newer, newer.previous)
         )
-        return change_of_error(*images, newer.truth.previous_positions)
+        return change_of_error(image, previous, newer.truth.previous_positions)
 
     return flicker(step(frame), step(frame.previous))
 

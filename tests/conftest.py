@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gc
 import os
 from pathlib import Path
 
@@ -17,6 +18,12 @@ from rlbench.system import paths
 # Dr.Jit loads LLVM on its first import, which may be a test's own: not an older one of the system
 for library in wheel_files():
     os.environ.setdefault("DRJIT_LIBLLVM_PATH", str(library))
+
+
+def pytest_collection_finish() -> None:
+    """Modules and tests live to the end: no garbage collection walks through them again."""
+    gc.collect()
+    gc.freeze()
 
 
 @pytest.fixture(autouse=True)

@@ -58,6 +58,7 @@ def test_the_example_trains_and_its_weights_beat_the_mean(plugin, worlds, tmp_pa
     assert psnr["blur"] > psnr["mean"] + 1  # dB; the clip validates, so it was not trained on
 
 
+@pytest.mark.slow
 def test_one_script_runs_a_learning_rate_range_test(plugin, worlds, tmp_path):
     words = ["blur", "--plugin", str(plugin), "--frames", "30", "--crop", "32"]
     assert "proposed" in lr_find.main([*words, "--out", str(tmp_path / "runs")])
@@ -65,6 +66,7 @@ def test_one_script_runs_a_learning_rate_range_test(plugin, worlds, tmp_path):
     assert files == {"range.csv", "range.png"}
 
 
+@pytest.mark.slow
 def test_an_option_restarts_a_run_and_archives_the_old_one(plugin, worlds, tmp_path):
     options = ("--plugin", plugin, "--frames", 3, "--crop", 32, "--device", "cpu")
     command = ("train", "-m", "blur", *options, "--out", tmp_path / "runs", "--train-spp", "1,2")

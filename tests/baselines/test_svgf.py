@@ -225,3 +225,14 @@ def _column_history(depth: Tensor) -> tuple[History, PaddedRows]:
     columns = torch.arange(w).float().expand(1, 5, h, w)
     mean = torch.cat((columns, torch.ones_like(depth)), 1)
     return History(flat.pack(mean), flat.pack(depth), flat.pack(wall(h, w).normal)), flat
+
+
+@pytest.mark.parametrize("bad", [torch.nan, torch.inf])
+def test_a_state_that_is_not_finite_is_no_history(bad):
+    method, gbuffer = build("", CPU, None), wall(9, 11)
+    samples = one_sample(noise(1, 3, 9, 11))
+    _, state = method.denoise(gbuffer, samples, method.start(Size(1, 9, 11)))
+    damaged = state._replace(accumulated=torch.full_like(state.accumulated, bad))
+    image, after = method.denoise(gbuffer, samples, damaged)
+    assert image.isfinite().all()
+    assert after.accumulated.isfinite().all()

@@ -30,6 +30,7 @@ DENOISE = {  # statement -> (check, part of what was found, part of the remedy)
     "return samples.mean[0], None": ("returns", "found a Tensor [3 64 96]", "image[None]"),
     "return samples.mean.permute(0, 2, 3, 1), None": ("returns", "[1 64 96 3]", "permute(0, 3, 1"),
     "return samples.mean[:, :1], None": ("returns", "found a Tensor [1 1 64 96] of", "blue"),
+    "return samples.mean[:1], None": ("batch", "[2 3 h w] as a torch.Tensor, found a", "as in"),
     "return samples.mean[..., ::2, ::2], None": ("odd_size", "[1, 3, 10, 16]", "any size"),
     "return samples.mean.double(), None": ("image", "found torch.float64", "end with .float()"),
     "return (samples.mean * 255).byte(), None": ("image", "torch.uint8", "end with .float()"),

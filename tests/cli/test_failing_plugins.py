@@ -49,8 +49,14 @@ def break_plugin(file: Path, fault: str) -> tuple[int, str]:
     return before.count("\n") + replacement.count("\n") + 1, reason
 
 
-@pytest.mark.parametrize("fault", FAULTS)
-@pytest.mark.parametrize("command", COMMANDS)
+@pytest.mark.parametrize(
+    ("command", "fault"),
+    [
+        *(("check", fault) for fault in FAULTS),
+        *((command, "error at import") for command in COMMANDS if command != "check"),
+        *((command, "exit in denoise") for command in COMMANDS if command != "check"),
+    ],
+)
 def test_a_fault_costs_the_rows_of_its_plugin_and_all_others_are_done(folder, command, fault):
     number, reason = break_plugin(folder / "bad.py", fault)
     words, done = COMMANDS[command]

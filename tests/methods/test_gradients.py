@@ -121,6 +121,7 @@ def test_the_true_gradient_is_that_of_finite_differences(denoiser, spp):
     assert float(true_gradient(problem)[tile]) == pytest.approx(difference, rel=1e-3)
 
 
+@pytest.mark.slow
 @EVERY_DENOISER
 @pytest.mark.parametrize("spp", [0.5, 2])
 def test_the_expected_error_is_that_of_the_benchmarks_allocation(denoiser, spp):
@@ -340,6 +341,7 @@ def test_the_surrogate_fades_where_pixels_have_no_sample():
     assert measure("surrogate per sample", "no filter", 0.25, 256).statistics.scale.value < 0.2
 
 
+@pytest.mark.slow
 def test_counts_in_the_denoiser_turn_the_surrogate_away_also_at_high_budgets():
     plain, weighted = (
         measure("surrogate", denoiser, 64, 128).statistics.cosine

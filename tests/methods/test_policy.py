@@ -100,7 +100,13 @@ def score(problem: ToyProblem, counts: Tensor) -> float:
     return (errors[0] - errors[1]) / (errors[0] - errors[2])
 
 
-@pytest.mark.parametrize("name", LEARNERS)
+@pytest.mark.parametrize(
+    "name",
+    [
+        pytest.param(name, marks=pytest.mark.slow) if name == "reinforce+surrogate" else name
+        for name in LEARNERS
+    ],
+)
 def test_every_learner_finds_a_known_optimum(name):
     """A free action for each pixel, trained by the learner's loss alone, at 4 spp."""
     without_blocks = {
@@ -124,6 +130,7 @@ def test_both_gradients_add_up_from_one_sample_per_pixel_on(spp):
     torch.testing.assert_close(gradient(CombinedLearner(reinforce)), expected)
 
 
+@pytest.mark.slow
 def test_a_price_on_samples_pays():
     assert trained_score(single_pixels(price_weight=0.0)) < trained_score(single_pixels()) - 0.08
 

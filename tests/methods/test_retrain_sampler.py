@@ -30,7 +30,13 @@ def task(tmp_path: Path) -> SamplerTask:
 @pytest.mark.parametrize(
     "name",
     [
-        *LEARNERS,
+        "reinforce",
+        "critic",  # has a network of its own
+        *(
+            pytest.param(name, marks=pytest.mark.slow)
+            for name in LEARNERS
+            if name not in ("reinforce", "critic")
+        ),
         pytest.param(
             RLLIB_APPO,
             marks=[
@@ -80,6 +86,7 @@ def test_a_sampler_of_the_papers_recipe_is_retrained_behind_its_own_networks(tas
     assert names == ["ours/paper", "ours/paper-A1"]
 
 
+@pytest.mark.slow
 def test_a_clip_that_the_kept_networks_saw_too_is_listed_once(task, tmp_path):
     retrain("reinforce", task, 2, list(task.folders), tmp_path, "a command")
     first = tmp_path / "reinforce.safetensors"

@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import sys
+from contextlib import contextmanager
 
 import pytest
 
 from rlbench.render.mitsuba.variant import find_libraries, select_variant
+from rlbench.system import paths
 
 NO_LLVM = "no usable libLLVM on this machine (apt-get install libllvm19)"
 
@@ -36,3 +38,13 @@ def _fast_again():
     running = sys.modules["mitsuba"].variant() if "mitsuba" in sys.modules else None
     if running == "scalar_rgb" and not all(library.fault for library in find_libraries()):
         select_variant("llvm_ad_rgb")
+
+
+@contextmanager
+def own_cache(tmp_path_factory):
+    """LLVM and a cache of its own, as in a test: for what is rendered once for a module."""
+    select_variant("llvm_ad_rgb")
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv("RLBENCH_CACHE", str(tmp_path_factory.mktemp("cache")))
+        patch.setattr(paths, "_synchronize", lambda path: None)
+        yield

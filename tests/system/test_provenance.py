@@ -5,7 +5,6 @@ from __future__ import annotations
 import importlib.metadata
 import platform
 import subprocess
-import sys
 from pathlib import Path
 
 import pytest
@@ -73,8 +72,3 @@ def test_a_package_that_is_not_installed_is_listed_as_missing_and_has_no_version
     assert missing_packages(packages) == ["no-such-package"]
     torch = importlib.metadata.version("torch")
     assert package_versions(packages) == f"no-such-package none, torch {torch}"
-
-
-def test_provenance_needs_no_torch():
-    code = "import sys, rlbench.system.provenance, rlbench.pools; assert 'torch' not in sys.modules"
-    assert subprocess.run([sys.executable, "-c", code]).returncode == 0

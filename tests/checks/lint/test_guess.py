@@ -80,6 +80,7 @@ def test_the_written_file_imports_what_was_dumped(own, small):
     np.testing.assert_allclose(found.gbuffer["motion"], small.gbuffer["motion"], atol=1e-3)
 
 
+SLOW = pytest.mark.slow
 UNREAD = {  # what a renderer writes beside the images that are read
     "Arnold": ["A"],
     "RenderMan": ["a", "dPcameradtime.x"],
@@ -96,7 +97,13 @@ LACKS = {
 }
 
 
-@pytest.mark.parametrize("name", RENDERERS)
+@pytest.mark.parametrize(
+    "name",
+    [
+        name if name in ("RenderMan", "Unreal", "Blender") else pytest.param(name, marks=SLOW)
+        for name in RENDERERS
+    ],
+)
 def test_a_guess_for_a_renderer_imports_without_an_edit(name, small, tmp_path):
     write_renderer(name, small, tmp_path / "dump")
     guess = guess_layout(tmp_path / "dump")

@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 import json
 
+import pytest
 import torch
 from rich.console import Console
 from typer.testing import CliRunner
@@ -66,6 +67,7 @@ def test_a_failed_test_is_printed_with_its_remedy_and_exit_code_1(tmp_path):
     assert progress == ["[1/1] toy: budgets, from an earlier run"]
 
 
+@pytest.mark.slow
 def test_sections_of_the_suite_run_without_methods_or_by_name_alone(tmp_path):
     """A method's exit code does not depend on the suite's own verdicts."""
     _, progress = stress("mean", "--out", tmp_path, code=0)

@@ -83,6 +83,7 @@ def test_the_radiance_of_a_dump_is_that_of_the_clip(engine, arrays):
     np.testing.assert_allclose(found.half_b, arrays.half_b, rtol=1e-6)
 
 
+@pytest.mark.slow
 def test_the_linter_fails_no_imported_dump(engine):
     results = lint_clip(engine[1])
     assert {r.check: r.found for r in results if r.verdict is Verdict.FAILED} == {}

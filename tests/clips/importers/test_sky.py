@@ -78,6 +78,7 @@ def test_frames_have_the_cameras_of_their_numbers(dump, arrays, tmp_path):
     np.testing.assert_allclose(found.gbuffer["motion"][1], arrays.gbuffer["motion"][2], atol=1e-4)
 
 
+@pytest.mark.slow
 def test_a_sky_that_is_declared_stored_stays_and_fails_the_linter(dump, arrays, tmp_path):
     found = imported(dump, tmp_path, 'sky = "stored"')
     sky = arrays.gbuffer["depth"].isinf()[:, 0]

@@ -1,5 +1,6 @@
 """Sample pools of plugins, and the scene as they see it."""
 
+import shutil
 from dataclasses import replace
 
 import numpy as np
@@ -17,6 +18,7 @@ from rlbench.render.mitsuba.open_tracer import WavefrontTracer
 from rlbench.render.mitsuba.variant import select_variant
 from rlbench.render.presets import Preset
 from rlbench.render.scene import Camera, Mesh, Scene
+from tests.render.conftest import own_cache
 from tests.render.small_scenes import diffuse, grey, room, square
 
 PRESET = Preset("test", "tests", (16, 24), frames=4, reference_spp=2, pool_spp=2)
@@ -33,18 +35,25 @@ def contents(folder, pattern="*.exr"):
     return {file.name: file.read_bytes() for file in sorted(folder.glob(pattern))}
 
 
-@pytest.fixture
-def plain(llvm, tmp_path):
-    """A clip with the path tracer's pool alone."""
-    render_clip(job(tmp_path / "plain", PRESET))
-    return tmp_path / "plain"
+@pytest.fixture(scope="module")
+def rendered(usable_llvm, tmp_path_factory):
+    """A clip with the path tracer's pool alone, and the same with the ReSTIR pool, added later."""
+    folder = tmp_path_factory.mktemp("pools")
+    with own_cache(tmp_path_factory):
+        render_clip(job(folder / "plain", PRESET))
+        shutil.copytree(folder / "plain", folder / "clip")
+        render_missing([job(folder / "clip")])
+    return folder
 
 
 @pytest.fixture
-def clip(plain):
-    """The same with the ReSTIR pool, added later."""
-    render_missing([job(plain)])
-    return plain
+def plain(llvm, rendered, tmp_path):
+    return shutil.copytree(rendered / "plain", tmp_path / "plain")
+
+
+@pytest.fixture
+def clip(llvm, rendered, tmp_path):
+    return shutil.copytree(rendered / "clip", tmp_path / "clip")
 
 
 class Killed(BaseException):

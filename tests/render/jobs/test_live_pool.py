@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shutil
 from dataclasses import dataclass, replace
 from functools import partial
 
@@ -34,6 +35,7 @@ from rlbench.run import run_clip
 from rlbench.sampling import draw_samples
 from tests.cli.runner import rlbench as run_command
 from tests.conftest import write_noise
+from tests.render.conftest import own_cache
 from tests.render.small_scenes import grey, room
 
 H, W = 16, 24
@@ -69,6 +71,12 @@ def render_scene(folder, scene, name="room"):
     return folder
 
 
+@pytest.fixture(scope="module")
+def rendered_room(usable_llvm, tmp_path_factory):
+    with own_cache(tmp_path_factory):
+        return render_scene(tmp_path_factory.mktemp("live") / "room", room())
+
+
 def open_both(folder, scene, seed=0):
     """The clip with its stored pool, and with a live one."""
     stored = open_clip(folder, seed=seed)
@@ -85,8 +93,8 @@ def images(clip, spp):
 
 
 @pytest.mark.parametrize("spp", [0.0, 0.01, 0.5, 2.3, 4.0])
-def test_a_method_makes_the_same_images_of_live_and_of_stored_samples(llvm, tmp_path, spp):
-    stored, live = open_both(render_scene(tmp_path, room()), room(), seed=5)
+def test_a_method_makes_the_same_images_of_live_and_of_stored_samples(llvm, rendered_room, spp):
+    stored, live = open_both(rendered_room, room(), seed=5)
     assert torch.equal(images(live, spp), images(stored, spp))
 
 
@@ -111,8 +119,8 @@ def test_samples_that_were_stored_as_float_are_the_same_live(llvm, tmp_path):
     assert torch.equal(images(live, 2.0), images(stored, 2.0))
 
 
-def test_a_frame_kept_by_the_caller_still_returns_its_own_samples(llvm, tmp_path):
-    stored, live = open_both(render_scene(tmp_path, room()), room())
+def test_a_frame_kept_by_the_caller_still_returns_its_own_samples(llvm, rendered_room):
+    stored, live = open_both(rendered_room, room())
     pool = list(live)[1].pool
     density = torch.ones(1, 1, H, W)
     first = draw_samples(pool, pool.empty(), density, 1.5)
@@ -132,8 +140,8 @@ def launches(work):
         return dr.kernel_history([dr.KernelType.JIT]), returned
 
 
-def test_each_sample_drawn_is_one_path_and_nothing_else_is_traced(llvm, tmp_path):
-    _, live = open_both(render_scene(tmp_path, room()), room())
+def test_each_sample_drawn_is_one_path_and_nothing_else_is_traced(llvm, rendered_room):
+    _, live = open_both(rendered_room, room())
     pool = live.frame(1).pool
     density = torch.rand(1, 1, H, W, generator=torch.Generator().manual_seed(0))
     samples, sizes = pool.empty(), []
@@ -150,8 +158,8 @@ def test_each_sample_drawn_is_one_path_and_nothing_else_is_traced(llvm, tmp_path
     ]  # 0.01, 0.1, 0.9 and 4 times 16 x 24, less the samples drawn before
 
 
-def test_nothing_is_compiled_after_the_first_frame(llvm, tmp_path):
-    _, live = open_both(render_scene(tmp_path, room()), room())
+def test_nothing_is_compiled_after_the_first_frame(llvm, rendered_room):
+    _, live = open_both(rendered_room, room())
     images(live, 1.0)
     kernels, _ = launches(lambda: [images(live, spp) for spp in (0.003, 0.01, 0.5, 3.7)])
     assert kernels
@@ -205,9 +213,16 @@ def test_seeds_and_caps_of_other_clips_compile_no_kernel(llvm):
     assert all(kernel["cache_hit"] for kernel in kernels)
 
 
+@pytest.fixture(scope="module")
+def rendered_temple(usable_llvm, tmp_path_factory):
+    with own_cache(tmp_path_factory):
+        scene = registry.load_plugin("scenes", "temple")()
+        return render_scene(tmp_path_factory.mktemp("live") / "temple", scene, "temple")
+
+
 @pytest.fixture
-def temple(llvm, tmp_path):
-    return render_scene(tmp_path / "temple", registry.load_plugin("scenes", "temple")(), "temple")
+def temple(llvm, rendered_temple, tmp_path):
+    return shutil.copytree(rendered_temple, tmp_path / "temple")
 
 
 def test_a_clip_knows_its_scene(temple):
@@ -275,11 +290,10 @@ def test_only_the_path_pool_can_be_live(tmp_path):
         open_live_clip(replace(clip, pool="restir"))
 
 
-def test_a_scene_that_is_not_installed_is_an_error(llvm, tmp_path):
-    render_scene(tmp_path / "room", room())
-    assert read_header(tmp_path / "room").name == "room"
+def test_a_scene_that_is_not_installed_is_an_error(rendered_room):
+    assert read_header(rendered_room).name == "room"
     with pytest.raises(LookupError, match="'room' is not a scene"):
-        open_source(tmp_path / "room", "live")
+        open_source(rendered_room, "live")
 
 
 class CountingTracer:

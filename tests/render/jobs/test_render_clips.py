@@ -1,5 +1,6 @@
 """Rendering clips: what is missing, what is kept, which takes, and remeasured times."""
 
+import shutil
 from dataclasses import replace
 
 import numpy as np
@@ -18,11 +19,11 @@ from rlbench.render.mitsuba.gbuffer import render_gbuffer
 from rlbench.render.mitsuba.open_tracer import open_tracer
 from rlbench.render.presets import Preset
 from rlbench.render.scene import SceneError
+from tests.render.conftest import own_cache
 from tests.render.small_scenes import diffuse, room, room_with_takes
 
 PRESET = Preset("test", "tests", (16, 24), frames=3, reference_spp=2, pool_spp=3)
 TAKES_PRESET = Preset("test", "tests", (16, 24), 4, 2, ("room",), pool_spp=2, takes="all")
-TIMED_PRESET = Preset("test", "tests", (16, 24), 4, 2, pool_spp=2)
 
 
 def job(folder, scene=None, preset=PRESET):
@@ -33,10 +34,17 @@ def contents(folder):
     return {file.name: file.read_bytes() for file in sorted(folder.glob("*.exr"))}
 
 
+@pytest.fixture(scope="module")
+def rendered(usable_llvm, tmp_path_factory):
+    folder = tmp_path_factory.mktemp("rendered") / "room"
+    with own_cache(tmp_path_factory):
+        render_clip(job(folder))
+    return folder
+
+
 @pytest.fixture
-def clip(llvm, tmp_path):
-    render_clip(job(tmp_path / "room"))
-    return tmp_path / "room"
+def clip(llvm, rendered, tmp_path):
+    return shutil.copytree(rendered, tmp_path / "room")
 
 
 class Killed(BaseException):
@@ -53,7 +61,9 @@ def killer(after):
     return traced
 
 
-@pytest.mark.parametrize("after", [0, 2, 4, 7])
+@pytest.mark.parametrize(
+    "after", [*(pytest.param(n, marks=pytest.mark.slow) for n in (0, 2)), 4, 7]
+)
 def test_an_interrupted_clip_is_unfinished_and_resumes_to_the_same_files(clip, tmp_path, after):
     resumed = tmp_path / "again"
     with pytest.raises(Killed):
@@ -279,12 +289,11 @@ def test_live_samples_of_a_take_equal_the_stored_ones(clips):
 
 
 @pytest.fixture
-def timed_folder(llvm, tmp_path, monkeypatch):
+def timed_folder(clip, monkeypatch):
     """A clip of the installed scene `room`."""
     monkeypatch.setattr(registry, "list_plugins", lambda group: ["room"])
     monkeypatch.setattr(registry, "load_plugin", lambda group, name: room)
-    render_clip(Job("room", room(), TIMED_PRESET, tmp_path / "room"))
-    return tmp_path / "room"
+    return clip
 
 
 def test_remeasuring_changes_the_times_per_sample_and_nothing_else(timed_folder):

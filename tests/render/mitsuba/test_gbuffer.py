@@ -272,7 +272,10 @@ def _positions(tracer, film):
     return eye + distance[:, None] * tracer.pose.ray_directions(film, H, W)
 
 
-@pytest.mark.parametrize("name", ["temple", "city", "hall", "ripples"])
+@pytest.mark.parametrize(
+    "name",
+    ["temple", *(pytest.param(n, marks=pytest.mark.slow) for n in ("city", "hall")), "ripples"],
+)
 def test_motion_leads_to_the_same_point_a_frame_earlier(llvm, name):
     tracer = open_tracer(scene_of_clip(name), SIDE, SIDE)
     rows, columns = np.indices((SIDE, SIDE)).reshape(2, -1)

@@ -67,7 +67,7 @@ def test_smooth_normals_equal_mitsubas(llvm):
     )  # Mitsuba approximates the arc cosine
 
 
-@pytest.mark.parametrize("time", [0.0, 2.0])
+@pytest.mark.parametrize("time", [pytest.param(0.0, marks=pytest.mark.slow), 2.0])
 def test_smooth_meshes_have_the_same_normals_in_every_run(llvm, time):
     mesh = replace(ball(200, 400), material=diffuse(0.5, 0.5, 0.5))
     scene = replace(

@@ -24,7 +24,7 @@ def test_the_sensor_of_the_file_is_the_middle_of_an_orbit(room):
     np.testing.assert_allclose(middle, buffer(still, "depth", 0), rtol=1e-4)
 
 
-@pytest.mark.parametrize("camera", ["orbit", "dolly"])
+@pytest.mark.parametrize("camera", [pytest.param("orbit", marks=pytest.mark.slow), "dolly"])
 def test_an_orbit_or_dolly_moves_the_camera(room, camera):
     clip = ensure_user_clip(UserSceneOptions(room, camera), PRESET)
     # half a degree of 60, or 2 % of the way, on 48 pixels
