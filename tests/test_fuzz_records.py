@@ -108,7 +108,12 @@ def with_other_values(draw: st.DrawFn, document: dict[str, Any], values: Any) ->
 # Model cards and weights
 
 CARD = ModelCard(
-    "oidn/tuned", ("city 01", "hall 02"), 1200, 400, 12.5, validation_history=((1, 2.0),)
+    "oidn/tuned",
+    ("city 01", "hall 02"),
+    frames_seen=1200,
+    steps=400,
+    seconds=12.5,
+    validation_history=((1, 2.0),),
 )
 WEIGHTS = nn.Linear(3, 2)
 

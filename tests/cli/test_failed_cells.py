@@ -118,7 +118,7 @@ def test_a_file_that_is_restored_is_measured_by_the_next_run(clips):
 BROKEN = {  # the whole plugin file -> the reason in its rows
     "raise SystemExit(3)": "PluginExitError: plugin code called sys.exit(3)",
     "import no_such_package": "ModuleNotFoundError: No module named 'no_such_package' (gone.py:1)",
-    "FAMILY = None": "gone.py has neither FAMILY nor METHODS",
+    "FAMILY = None": "gone.py has none of FAMILY, METHODS, METRIC",
 }
 
 

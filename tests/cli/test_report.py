@@ -89,12 +89,6 @@ def test_rows_of_a_plugin_can_be_reported_without_it(clip_folder, tmp_path):
     assert output.endswith("has no rows of imcd; available: grey, mean")
 
 
-def test_a_budget_of_zero_is_reported(run_mean, tmp_path):
-    rlbench(*run_mean, "--cost", "paper-2080ti", "--spp", "0,1")
-    rlbench("report", "all", "--results", tmp_path / "r", "--out", tmp_path / "figures")
-    assert (tmp_path / "figures" / "paper-spp.png").stat().st_size > 0
-
-
 def test_a_report_without_results_is_an_error(tmp_path):
     assert "error: no results in" in rlbench("report", "--results", tmp_path, code=2)
 

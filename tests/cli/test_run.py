@@ -163,7 +163,7 @@ def test_a_plugin_file_is_run(clip_folder, tmp_path):
 @pytest.mark.parametrize(
     ("text", "message"),
     [
-        ("x = 1", "plugin.py has neither FAMILY nor METHODS"),
+        ("x = 1", "plugin.py has none of FAMILY, METHODS, METRIC"),
         ("import nothing_of_this_name", "ModuleNotFoundError: No module named"),
         ("\n1 / 0", "ZeroDivisionError: division by zero (plugin.py:2)"),
         ("def", "plugin.py is no Python code: SyntaxError: invalid syntax (plugin.py:1)"),

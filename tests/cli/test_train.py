@@ -102,6 +102,7 @@ def calls(monkeypatch):
 
     def record(self, name, split, held_out_scene=None):
         runs.append((self, name, split, held_out_scene))
+        return self.out / "never trained.safetensors"
 
     monkeypatch.setattr(TrainingRuns, "train", record)
     return runs
