@@ -133,7 +133,7 @@ def decide(
         times = given.inference_ms
         unknown = [curve.method for curve in curves if curve.method not in times]
         left_out = [*left_out, *(f"{name} has no time in the cost profile" for name in unknown)]
-        curves = [_charged(curve, times[curve.method]) for curve in curves if curve.method in times]
+        curves = [_retime(curve, times[curve.method]) for curve in curves if curve.method in times]
         if not curves:
             raise ReportError(
                 f"the cost profile has times of {', '.join(times) or 'no method'}, and the results "
@@ -205,7 +205,7 @@ def check_ranks(scores: Scores) -> None:
         )
 
 
-def _charged(curve: Curve, inference_ms: float) -> Curve:
+def _retime(curve: Curve, inference_ms: float) -> Curve:
     times = np.full_like(curve.fixed_ms, inference_ms)
     return replace(curve, fixed_ms=times, late_ms=times)
 

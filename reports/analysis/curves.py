@@ -164,9 +164,7 @@ def _in_path_samples(points: pd.DataFrame) -> dict[str, pd.Series[float]]:
     path = _path_sample_ms(points)
     if path.isna().all():
         return {"samples": points["mean_spp"], "gbuffer_samples": points["gbuffer_ms"] * 0.0}
-    # images made elsewhere have no sampling time of their own
-    sampling = points["sampling_ms"].fillna(points["mean_spp"] * points["sample_ms"])
-    parts = {"samples": sampling, "gbuffer_samples": points["gbuffer_ms"]}
+    parts = {"samples": points["sampling_ms"], "gbuffer_samples": points["gbuffer_ms"]}
     return {name: times / float(path.mean()) for name, times in parts.items()}
 
 

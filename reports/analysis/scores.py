@@ -143,6 +143,10 @@ class Scores:
         times = timed.pivot_table("value", GROUP, "metric").reindex(columns=TIMES).reset_index()
         points = points.merge(times, on=GROUP, how="left")
         points = points.merge(self._sample_ms, on=["method", "scene"], how="left")
+        # images made elsewhere have no sampling time of their own
+        is_claimed = points["method"].isin(methods_from_elsewhere(self.rows))
+        charged = points["mean_spp"] * points["sample_ms"]
+        points["sampling_ms"] = points["sampling_ms"].mask(is_claimed, charged)
         points["inference_ms"] = points[INFERENCE].sum(axis=1, skipna=False)
         points["frame_ms"] = points[FRAME_PARTS].sum(axis=1, skipna=False)
         marked = unreliable_rows(self.rows)[GROUP].drop_duplicates().assign(unreliable=True)

@@ -146,15 +146,18 @@ def write_profile(
     inference_ms: Mapping[str, Mapping[str, float]],
 ) -> None:
     """Write a cost profile of one device, for all scenes; `size` (height, width) is of a sample."""
-    texts = {"title": device, "source": "rlbench speed --as-cost", "device": device}
-    lines = [f"{key} = {json.dumps(text)}" for key, text in texts.items()]
-    lines += [f"height = {size[0]}", f"width = {size[1]}", f"default_ms = {sample_ms!r}"]
-    lines += ["", "[scene_ms]"]
-    for pixels, by_method in inference_ms.items():
-        times = [f"{json.dumps(name)} = {ms!r}" for name, ms in by_method.items()]
-        lines += ["", f"[inference_ms.{pixels}]", *times]
-    with paths.atomic_write(file) as temporary:
-        temporary.write_text("\n".join(lines) + "\n", encoding="utf-8")
+    height, width = size
+    document = {
+        "title": device,
+        "source": "rlbench speed --as-cost",
+        "device": device,
+        "height": height,
+        "width": width,
+        "default_ms": sample_ms,
+        "scene_ms": {},
+        "inference_ms": inference_ms,
+    }
+    documents.write_toml(file, document)
 
 
 def _check(name: str, document: Mapping[str, Any]) -> None:

@@ -233,7 +233,7 @@ def _score_clip(
         rows, kept, remarks = _score(claim, images, template, on_frame)
         store.write(cell, rows, kept)
     scores = [row.value for row in rows if row.metric == "psnr" and math.isfinite(row.value)]
-    psnr = sum(scores) / len(scores) if scores else math.nan
+    psnr = fmean(scores) if scores else math.nan
     return ScoredClip(header.name, psnr, is_cached, tuple(remarks))
 
 

@@ -7,14 +7,13 @@ keep-images = true
 
 from __future__ import annotations
 
-import json
 from pathlib import Path
 from typing import Any
 
 from rlbench.cli.arguments import WeightsChoice
 from rlbench.errors import OptionError
 from rlbench.registry.near_names import unknown_name
-from rlbench.system import documents, paths
+from rlbench.system import documents
 
 __all__ = ["use", "write"]
 
@@ -45,15 +44,12 @@ def _as_words(value: Any, parameter: Any) -> Any:
 
 def write(context: Any, file: Path) -> None:
     """Write the options that this call was given, on its command line or in a file."""
-    lines = [
-        (each.opts[0].removeprefix("--"), context.params[each.name])
+    given = {
+        each.opts[0].removeprefix("--"): _as_toml(context.params[each.name])
         for each in context.command.params
         if each.name not in LEFT_OUT and _is_given(context, each.name)
-    ]
-    text = "".join(f"{name} = {json.dumps(_as_toml(value))}\n" for name, value in lines)
-    file.parent.mkdir(parents=True, exist_ok=True)
-    with paths.atomic_write(file) as temporary:
-        temporary.write_text(text, encoding="utf-8")
+    }
+    documents.write_toml(file, given)
 
 
 def _as_toml(value: Any) -> Any:

@@ -11,7 +11,7 @@ import typer
 from rlbench.cli import answers, options
 from rlbench.cli.arguments import parse_positive, split_names
 from rlbench.cli.json_output import as_json_text
-from rlbench.cli.methods import load_plugins
+from rlbench.cli.methods import load_plugins, plugin_words
 from rlbench.cli.options import MEASUREMENT, METHODS, flag, option
 from rlbench.cli.selection import read_rows
 from rlbench.errors import OptionError
@@ -107,14 +107,14 @@ def decide(
         device=device,
         allow_unreliable=allow_unreliable,
         left_out=left_out,
-        plugins=_plugin_words(plugin),
+        plugins=plugin_words(plugin),
     )
     if as_json:
         typer.echo(as_json_text(decision))
         return
     best = decision.candidates[0]
     run = _next_run(rows, best.method, best.spp, results)
-    next_run = run and run + _plugin_words(plugin)
+    next_run = run and run + plugin_words(plugin)
     typer.echo(decision_text(decision, next_run))
 
 
@@ -134,10 +134,6 @@ def _next_run(rows: pd.DataFrame, method: str, spp: float, results: Path) -> str
     if not is_known or len(presets) != 1 or not presets[0] or 2 * spp > presets[0].pool_spp:
         return ""
     return f"rlbench run -m {method} --spp {2 * spp:g} --preset {presets[0].name} --out {results}"
-
-
-def _plugin_words(files: list[Path] | None) -> str:
-    return "".join(f" --plugin {file}" for file in files or ())
 
 
 def _select_by_inputs(

@@ -14,8 +14,6 @@ from rlbench.cli.options import CLIPS, METHODS, complete_methods, option
 
 __all__ = ["denoise"]
 
-TRAINED_SPP = 8  # samples per pixel that no row was trained beyond
-
 
 def denoise(
     source: Annotated[
@@ -132,14 +130,15 @@ def denoise(
 def _notes(method: str, spp: float) -> list[str]:
     """What a user should know of a row on images of so many samples per pixel."""
     from rlbench import registry
+    from rlbench.denoise import MAX_SLOTS
 
     variant = registry.get_variant(method)
     notes = []
     if variant.traits.adaptive:
         notes.append(f"{method} places samples; here it takes the same number in every pixel")
-    if variant.learned and not variant.trained_by and spp > TRAINED_SPP:
+    if variant.learned and not variant.trained_by and spp > MAX_SLOTS:
         notes.append(
-            f"{method} was trained up to {TRAINED_SPP} spp, and these are {spp:g}; "
+            f"{method} was trained up to {MAX_SLOTS} spp, and these are {spp:g}; "
             "accumulate/intel has the weights of Open Image Denoise, which saw all"
         )
     return notes

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shlex
 from collections.abc import Collection, Iterable
 from pathlib import Path
 
@@ -15,6 +16,7 @@ __all__ = [
     "expand_methods",
     "load_plugins",
     "load_rows",
+    "plugin_words",
     "pool_kinds",
     "require_methods",
     "trainable_methods",
@@ -33,6 +35,11 @@ def load_plugins(files: list[Path] | None, allow_broken: bool = False) -> None:
         registry.use_plugin(file)
         if not allow_broken and (reason := plugin_file_error(file)):
             raise registry.PluginError(f"--plugin {file}: {reason}")
+
+
+def plugin_words(files: list[Path] | None) -> str:
+    """The options that name these plugin files in a suggested command, each after a space."""
+    return "".join(f" --plugin {shlex.quote(str(file))}" for file in files or ())
 
 
 def load_rows(context: typer.Context, files: list[Path] | None, patterns: Iterable[str]) -> None:

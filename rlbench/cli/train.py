@@ -15,7 +15,7 @@ import typer
 
 from rlbench.cli import options
 from rlbench.cli.arguments import Seeds, parse_keep, parse_share, split_names
-from rlbench.cli.methods import load_plugins, pool_kinds, trainable_methods
+from rlbench.cli.methods import load_plugins, plugin_words, pool_kinds, trainable_methods
 from rlbench.cli.options import CLIPS, TRAINING, complete_names, flag, folder, option
 from rlbench.cli.verbosity import note
 from rlbench.errors import OptionError
@@ -253,9 +253,8 @@ def train(
 def _name_next_command(name: str, weights: Path, plugin: list[Path] | None) -> None:
     """Say how the trained weights are scored; nothing if the training was stopped before any."""
     if weights.is_file():
-        plugins = [word for file in plugin or () for word in ("--plugin", str(file))]
-        words = ["rlbench", "run", "-m", name, "--weights", f"{name}={weights}", *plugins]
-        note(f"score it: {shlex.join(words)}")
+        words = ["rlbench", "run", "-m", name, "--weights", f"{name}={weights}"]
+        note(f"score it: {shlex.join(words)}{plugin_words(plugin)}")
 
 
 def _mix_share(

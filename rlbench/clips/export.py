@@ -19,7 +19,7 @@ from numpy import ndarray as Array
 from rlbench.clips.exr import write_exr
 from rlbench.clips.header import STANDARD_BUFFERS, ClipError
 from rlbench.clips.pfm import write_pfm
-from rlbench.clips.stored import StoredClip, open_clip
+from rlbench.clips.stored import StoredClip, open_clip, read_header
 from rlbench.ops.color import encode_srgb
 from rlbench.system.documents import read_toml, write_toml
 
@@ -176,8 +176,7 @@ def export_clip(
     folder holds another export.
     """
     chosen = FORMATS[name]
-    clip = open_clip(source, frozenset(), max_samples=1)
-    header = clip.header
+    header = read_header(source)
     if spp > header.pool_spp:
         raise ClipError(
             f"clip {source} stores {header.pool_spp} samples per pixel, {spp} were requested"
@@ -186,6 +185,7 @@ def export_clip(
     buffers = [each for each in buffers if each != "motion" or not header.static]
     absent = [each for each in chosen.inputs if each not in buffers]
     notes = (*chosen.notes, *(f"{each} is left out: the clip has none" for each in absent))
+    clip = open_clip(source, frozenset(buffers), spp, seed=seed)
     record = {
         "clip": header.name,
         "digest": clip.digest,
@@ -197,10 +197,9 @@ def export_clip(
         "notes": notes,
     }
     _claim(folder, record)
-    opened = open_clip(source, frozenset(buffers), spp, seed=seed)
     for index in range(header.frames):
         if not (folder / chosen.last_file.format(frame=f"{index:04}")).is_file():
-            images = _read_images(opened, index, with_reference)
+            images = _read_images(clip, index, with_reference)
             chosen.write(folder, f"{index:04}", images)
         on_frame()
     return notes
