@@ -122,7 +122,7 @@ def _next_run(rows: pd.DataFrame, method: str, spp: float, results: Path) -> str
     """A command that measures twice the budget of a row; empty where none is known to work.
 
     It has to have the preset of the row, whose clips have so many samples, and its cost of a
-    sample; the weights of a row with a label are not known.
+    sample, which images made elsewhere have not; the weights of a row with a label are not known.
     """
     from rlbench.benchmark.results import RowName
     from rlbench.render.presets import PRESETS
@@ -130,8 +130,14 @@ def _next_run(rows: pd.DataFrame, method: str, spp: float, results: Path) -> str
     own = rows[rows["method"] == method]
     presets = [PRESETS.get(name) for name in set(own["preset"])]
     sources = own.loc[own["metric"] == "sample_ms", "convention"]
-    is_known = not RowName.parse(method).label and sources.str.contains(", measured on ").all()
-    if not is_known or len(presets) != 1 or not presets[0] or 2 * spp > presets[0].pool_spp:
+    is_measured = not sources.empty and sources.str.contains(", measured on ").all()
+    if (
+        not is_measured
+        or RowName.parse(method).label
+        or len(presets) != 1
+        or not presets[0]
+        or 2 * spp > presets[0].pool_spp
+    ):
         return ""
     return f"rlbench run -m {method} --spp {2 * spp:g} --preset {presets[0].name} --out {results}"
 
