@@ -21,11 +21,17 @@ LEFT_OUT = ("config", "out")  # of the file that a run writes: they belong to on
 
 
 def use(context: Any, file: Path | None) -> Path | None:
-    """Take the options of a file as defaults of the command. Raises OptionError for its keys."""
+    """Take the options of a file as defaults of the command.
+
+    Raises OptionError for a file that is no TOML, and for keys that are no options.
+    """
     if file is None or context.resilient_parsing:
         return file
     known = {each.opts[0].removeprefix("--"): each for each in context.command.params}
-    values = documents.read_toml(file)
+    try:
+        values = documents.read_toml(file)
+    except ValueError as error:
+        raise OptionError(f"--config: {error}") from error
     if unknown := [key for key in values if key not in known]:
         problem = f"--config {file}: no option '{unknown[0]}'"
         raise OptionError(unknown_name(problem, unknown[0], sorted(known)))

@@ -307,6 +307,8 @@ def test_a_run_writes_its_options_and_another_reads_them(run_mean, tmp_path):
     assert "2 cells measured" in rlbench(*words, "--spp", "2,4")  # the command line wins
     config.write_text("methodes = 'mean'\n")
     assert "no option 'methodes'. Did you mean 'methods'?" in rlbench(*words, code=2)
+    config.write_text("methods = [")
+    assert "run.toml is not TOML" in rlbench(*words, code=2)
 
 
 def test_weights_of_one_method_are_not_given_to_others(clip_folder, tmp_path):
