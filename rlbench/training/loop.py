@@ -103,24 +103,21 @@ def train(
     requested |= {name: value for name, value in chosen.items() if value}
     progress = _start_or_resume(state, out / CHECKPOINT, requested, allow_config_change)
     result = TrainingResult(weights_path(method, out), progress)
-    if _is_finished(config, progress) and progress.frames_seen == frames_in_weights(result.weights):
+    if progress.fraction_done >= 1 and progress.frames_seen == frames_in_weights(result.weights):
         return result
     began = time.monotonic() - progress.seconds
     stop, next_status, loss = time.monotonic() + 60 * minutes, 0.0, math.nan
     with prefetch(batches) as sequence, closing(TrainingLogger(out, progress.frames_seen)) as log:
-        while not _is_finished(config, progress) and time.monotonic() < stop:
+        while progress.fraction_done < 1 and time.monotonic() < stop:
             intervals, started = progress.frames_seen // config.eval_interval, time.monotonic()
-            fraction = config.fraction_done(progress.frames_seen, progress.seconds)
-            learning_rate = task.max_lr * config.lr_factor(fraction)
+            learning_rate = task.max_lr * config.lr_factor(progress.fraction_done)
             clip = sequence(progress.sequences)
             loss = _train_sequence(method, state, clip, progress)
             progress.seconds = time.monotonic() - began
             progress.frames_per_second = _count_frames(clip) / max(time.monotonic() - started, 1e-9)
             log.log_sequence(progress, loss, learning_rate)
-            if (
-                _is_finished(config, progress)
-                or progress.frames_seen // config.eval_interval > intervals
-            ):
+            now = progress.frames_seen // config.eval_interval
+            if progress.fraction_done >= 1 or now > intervals:
                 log.log_validation(progress, loss, _validate(state, progress, sets))
                 checkpoint.write(out / CHECKPOINT, state.state_dict(), asdict(progress))
                 next_status = 0.0
@@ -236,9 +233,9 @@ def _train_sequence(
     """Train on the next sequence and advance the progress; returns the mean loss."""
     config, index = state.config, progress.sequences
     spp = sequence_budget(clip, config.spp or state.task.spp, config.seed, index)
-    fraction = config.fraction_done(progress.frames_seen, progress.seconds)
+    done = progress.fraction_done
     try:
-        loss = state.train_sequence(clip, spp, config.lr_factor(fraction), fraction)
+        loss = state.train_sequence(clip, spp, config.lr_factor(done), done)
     except NonFiniteStepError as error:
         raise TrainingError(
             f"Training of '{method}' stopped in sequence {index} at {spp:g} spp: {error}. "
@@ -249,10 +246,6 @@ def _train_sequence(
     progress.sequences += 1
     progress.steps = state.steps
     return loss
-
-
-def _is_finished(config: TrainingConfig, progress: Progress) -> bool:
-    return config.fraction_done(progress.frames_seen, progress.seconds) >= 1
 
 
 def _count_frames(clip: InMemoryClip) -> int:

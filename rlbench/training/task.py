@@ -173,11 +173,6 @@ class TrainingConfig:
         """Are the weights of the best validation saved, instead of the last ones?"""
         return self.keep != "last"
 
-    def fraction_done(self, frames_seen: int, seconds: float) -> float:
-        """The part of the training that is done, in [0, 1]: of `frames`, or of `anneal`."""
-        done = seconds / (60 * self.anneal) if self.anneal else frames_seen / self.frames
-        return min(done, 1.0)
-
     def lr_factor(self, fraction_done: float) -> float:
         """One-cycle learning rate, relative to the peak for one crop at a time; above 0.
 

@@ -97,6 +97,7 @@ class TrainState:
         average = warmed_up_ema(config.ema_decay)
         self.ema = AveragedModel(self.networks, multi_avg_fn=average, use_buffers=True)
         self.ema.update_parameters(self.networks)  # the initial weights count as the first average
+        torch.backends.cudnn.benchmark = True  # crops have one size
         fused = self.device.type == "cuda"
         self.optimizer = torch.optim.Adam(_parameter_groups(task), task.max_lr, fused=fused)
         self.best: dict[str, Tensor] = {}  # averaged weights that `keep_average` stored
