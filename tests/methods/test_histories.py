@@ -22,7 +22,13 @@ def test_a_variant_starts_as_the_row_and_learns_in_all_weights(variant):
     expected = tuned_task("tuned", CPU, 0).method
     pairs = zip(run_clip(task.method, clip, 1.0), run_clip(expected, clip, 1.0), strict=True)
     for found, row in pairs:
-        torch.testing.assert_close(found.image, row.image, rtol=2e-3, atol=2e-3)
+        difference = (found.image - row.image).abs()
+        if task.method.config.two:  # half precision: a density may round to another count
+            same = (found.samples.counts == row.samples.counts).float().mean()
+            assert same > 0.97
+            assert difference.mean() < 1e-3
+        else:
+            assert difference.max() < 1e-4
     sum(task.losses(clip, 1.0)).backward()
     idle = [n for n, p in task.networks.named_parameters() if p.grad is None or not p.grad.any()]
     assert not idle
@@ -35,6 +41,5 @@ def test_a_variant_keeps_its_budget(variant):
         result = next(run_clip(method, procedural_clip(size=SIZE, frames=1), 1.0))
     pixels = SIZE.h * SIZE.w
     macs, state = counter.get_total_flops() / 2 / pixels, count_state_bytes(result.state) / pixels
-    print(variant, macs, state)
     assert macs <= 115_000
-    assert state <= 64 + 0.1  # three values an image, for what takes no room
+    assert state <= 64 + 0.1  # the change, one value of an image

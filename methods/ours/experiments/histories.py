@@ -172,7 +172,7 @@ class Histories:
         weight = mix * history.similarity * share_by_spp(samples.slot_spp)
         image = log_inverse(torch.lerp(denoised, old, weight))
         surface = surface_features(gbuffer.normal, gbuffer.albedo, gbuffer.depth)
-        unused = image.new_zeros(()).expand_as(weight)
+        unused = image.new_zeros(1, 1, 1, 1)
         memory = Memory(accumulated, image, unused, surface, state.memory.age + 1)
         return image, _pack(memory, recent) if self.config.two else State(memory, recent)
 
@@ -189,7 +189,8 @@ def _half(values: Tensor) -> Tensor:
 
 
 def _reproject(gbuffer: GBuffer, state: State) -> Moved:
-    memory = state.memory
+    spp = state.memory.radiance.accumulated_spp
+    memory = replace(state.memory, change=state.memory.change.expand_as(spp))
     if state.recent.shape[1]:
         mean, root, spp = memory.radiance
         radiance = AccumulatedRadiance(mean, root.float().square(), spp.float())
