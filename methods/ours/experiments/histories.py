@@ -58,6 +58,7 @@ from rlbench.weights import load_for_inference
 SHORT, LONG = 0.5, 0.95  # largest weights of the old light in a frame
 TAPS = 25  # of the kernel that splats the last image
 CENTRE_LOGIT = 12.0  # of the kernel's middle tap at the start: the image stays where it is
+KERNEL_GAIN = 10.0  # of the kernel's logits, since weights learn slowly beside so large a bias
 MAX_HALF = 6e4  # of what is kept in half precision
 MANY = 4.0  # samples: half of the range of the count that the network sees
 
@@ -167,7 +168,7 @@ class Histories:
         denoised = log_forward(self.decode(output[:, :3], exposure))
         old, mix = history.image, BLEND
         if self.config.splat:
-            old = splat_kernels(output[:, 3 : 3 + TAPS].softmax(1), old)
+            old = splat_kernels((KERNEL_GAIN * output[:, 3 : 3 + TAPS]).softmax(1), old)
             mix = output[:, 3 + TAPS :].sigmoid()
         weight = mix * history.similarity * share_by_spp(samples.slot_spp)
         image = log_inverse(torch.lerp(denoised, old, weight))
@@ -242,7 +243,7 @@ def training_task(variant: str, device: torch.device, seed: int) -> TrainingTask
             bias = network.dec_conv0.bias
             assert bias is not None
             bias[3:].zero_()
-            bias[3 + TAPS // 2] = CENTRE_LOGIT
+            bias[3 + TAPS // 2] = CENTRE_LOGIT / KERNEL_GAIN
             bias[3 + TAPS] = math.log(BLEND / (1 - BLEND))
     method = Histories(config, network.to(device), decode=to_signed_radiance)
     stepped = method if config.through else _Detached(**vars(method))
