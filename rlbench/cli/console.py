@@ -55,7 +55,12 @@ def training(title: str, frames: int) -> Iterator[Callable[[TrainingProgress, fl
 
         def on_progress(progress: TrainingProgress, loss: float) -> None:
             status = f"{title}, {training_status(progress, loss)}"
-            bar.update(task, completed=progress.frames_seen, description=status)
+            bar.update(
+                task,
+                completed=progress.frames_seen,
+                total=progress.frames_goal,
+                description=status,
+            )
 
         yield on_progress
 

@@ -132,6 +132,16 @@ def train(
             min=0,
         ),
     ] = 0.0,
+    anneal: Annotated[
+        float,
+        option(
+            TRAINING,
+            "the learning rate rises and falls within these minutes of training, in place of "
+            "--frames; 0: within --frames",
+            value="MINUTES",
+            min=0,
+        ),
+    ] = 0.0,
     restart: Annotated[
         bool,
         flag(
@@ -215,6 +225,7 @@ def train(
         keep=keep,
         eval_interval=eval_interval,
         anchor=anchor,
+        anneal=anneal,
     )
     runs = training_runs(out, config, device, minutes, allow_config_change)
     runs = replace(runs, suffix=QUICK if quick else "", start=find_weights(start, out, names))

@@ -46,7 +46,7 @@ def fit(
     while seen < frames:
         clip = batches.sequence(index)
         spp = BUDGETS[index % len(BUDGETS)]
-        state.train_sequence(clip, spp, config.lr_factor(seen), seen / frames)
+        state.train_sequence(clip, spp, config.lr_factor(seen / frames), seen / frames)
         seen, index = seen + len(clip), index + 1
         if index % INTERVAL == 0 or seen >= frames:
             yield seen, score(task.method, state, folder)
