@@ -35,18 +35,15 @@ def find_chromium() -> str:
 
 
 @contextmanager
-def launch_chromium(path: str, is_plain: bool = False) -> Iterator[Any]:
-    """Headless Chromium with a WebGL2 that needs no graphics card, or a plain one without WebGL."""
-    from playwright.sync_api import sync_playwright
-
+def launch_chromium(playwright: Any, path: str, has_webgl: bool = True) -> Iterator[Any]:
+    """Headless Chromium, with a WebGL2 that needs no graphics card, or without WebGL."""
     options = ["--use-angle=swiftshader", "--enable-unsafe-swiftshader"]
-    options = ["--disable-3d-apis"] if is_plain else options
+    options = options if has_webgl else ["--disable-3d-apis"]
     options += ["--force-color-profile=srgb"]
     options += ["--no-sandbox"] if os.geteuid() == 0 else []
-    with sync_playwright() as playwright:
-        chromium = playwright.chromium.launch(executable_path=path, args=options)
-        yield chromium
-        chromium.close()
+    chromium = playwright.chromium.launch(executable_path=path, args=options)
+    yield chromium
+    chromium.close()
 
 
 @dataclass
