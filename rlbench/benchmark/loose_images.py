@@ -29,9 +29,9 @@ ENCODINGS = {
     ".pfm": "PFM, linear radiance",
     ".png": "PNG, 8-bit sRGB, decoded: clipped at display white",
 }
-RGB = (("R", "G", "B"), ("*.R", "*.G", "*.B"))
 COMBINED = ("*.Combined.R", "*.Combined.G", "*.Combined.B")  # Blender's name of the image
-ANY_IMAGE = (RGB[0], COMBINED, RGB[1], ("Y",), ("*.Y",))
+RGB = (("R", "G", "B"), COMBINED, ("*.R", "*.G", "*.B"))
+ANY_IMAGE = (*RGB, ("Y",), ("*.Y",))
 ANY_MODE = ("RGB", "RGBA", "P", "L", "LA", "1")  # of PNG; alpha is left out
 
 
@@ -53,6 +53,8 @@ def read_linear(
     suffix = file.suffix.lower()
     if suffix not in ENCODINGS:
         raise LooseImageError(f"{file} is none of {', '.join(ENCODINGS)}, which are read")
+    if not file.is_file():
+        raise LooseImageError(f"there is no file {file}")
     try:
         if suffix == ".png":
             display = torch.from_numpy(read_png(file, modes).astype(np.float32) / 255)

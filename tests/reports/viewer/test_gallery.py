@@ -10,7 +10,7 @@ import pytest
 from PIL import Image
 
 from reports.viewer import write_gallery
-from rlbench.benchmark.loose_images import LooseImageError, read_gallery
+from rlbench.benchmark.loose_images import LooseImageError, read_gallery, read_linear
 from rlbench.clips.exr import write_exr
 from rlbench.clips.pfm import write_pfm
 from tests.reports.viewer.test_browser_images import COLOUR, srgb
@@ -147,6 +147,8 @@ def test_grey_images_and_layers_are_read(tmp_path):
     shown, _ = read_gallery([tmp_path / "layers.exr", tmp_path / "grey.exr"])
     np.testing.assert_array_equal(shown.images[0].frames[0], planes)
     np.testing.assert_array_equal(shown.images[1].frames[0], np.stack([planes[0]] * 3))
+    combined = read_linear(tmp_path / "layers.exr").transpose(2, 0, 1)  # as rlbench score reads it
+    np.testing.assert_array_equal(combined, planes)
     (albedo,) = read_gallery([tmp_path / "layers.exr"], layer="V.Albedo")[0].images
     np.testing.assert_array_equal(albedo.frames[0], np.stack([planes[0]] * 3))
 
@@ -171,7 +173,14 @@ def spoil(kind: str, folder: Path) -> list[Path]:
 
 @pytest.mark.parametrize(
     "kind",
-    ["cannot be decoded", "16 x 16", "expected channels", "none of .exr", "named twice", "No such"],
+    [
+        "cannot be decoded",
+        "16 x 16",
+        "expected channels",
+        "none of .exr",
+        "named twice",
+        "there is no file",
+    ],
 )
 def test_files_that_cannot_be_shown_are_errors_that_name_them(kind, tmp_path):
     files = spoil(kind, tmp_path)
