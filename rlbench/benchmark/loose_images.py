@@ -78,7 +78,7 @@ def read_gallery(
     sizes differ.
     """
     names = _short_names(files)
-    images, remarks = [], []
+    images, remarks = list[Float32[Array, "3 h w"]](), list[str]()
     for name, file in zip(names, files, strict=True):
         pixels = read_linear(file, ANY_IMAGE, ANY_MODE, layer)
         image = np.moveaxis(np.broadcast_to(pixels, (*pixels.shape[:2], 3)), -1, 0)
@@ -99,11 +99,23 @@ def read_gallery(
         )
     _, height, width = images[0].shape
     none = np.zeros((0, 3, height, width), np.float32)
-    shown = [
-        ShownImages(name, 0.0, 0, "", image[None], none[:, 0])
+    shown = tuple(
+        ShownImages(
+            method=name, target_spp=0.0, seed=0, device="", frames=image[None], counts=none[:, 0]
+        )
         for name, image in zip(names, images, strict=True)
-    ]
-    return ShownClip("images", "images", 1.0, (), (), none, {}, tuple(shown)), remarks
+    )
+    clip = ShownClip(
+        name="images",
+        scene="images",
+        fps=1.0,
+        cuts=(),
+        light_changes=(),
+        reference=none,
+        buffers={},
+        images=shown,
+    )
+    return clip, remarks
 
 
 def _short_names(files: Sequence[Path]) -> list[str]:
