@@ -99,7 +99,7 @@ def read_gallery(
         )
     _, height, width = images[0].shape
     none = np.zeros((0, 3, height, width), np.float32)
-    shown = tuple(
+    rows = tuple(
         ShownImages(
             method=name, target_spp=0.0, seed=0, device="", frames=image[None], counts=none[:, 0]
         )
@@ -113,7 +113,7 @@ def read_gallery(
         light_changes=(),
         reference=none,
         buffers={},
-        images=shown,
+        images=rows,
     )
     return clip, remarks
 

@@ -57,7 +57,7 @@ def view(
         str, option(CLIPS, "layer of EXR images that have several, as Blender's", value="NAME")
     ] = "",
 ) -> None:
-    """Write one page to look at the results, or at image files; it needs no network.
+    """Write one offline page to look at results or image files.
 
     Decide, compare images in place, their layers, their course in time, and a table. Images are
     those of `rlbench run --keep-images`; without them the page has decision and table. Of image
@@ -89,8 +89,8 @@ def view(
         found, reason = find_images(results, rows, clips, spp)
         remarks = [f"the page has decision and table alone: {reason}"] if reason else []
         traits = {name: describe_traits(name) for name in sorted(set(rows["method"]))}
-        shown = list(found)
-        remarks += reports.viewer.write(rows, target, shown, traits, remarks, int(max_mb * 1e6))
+        kept = list(found)
+        remarks += reports.viewer.write(rows, target, kept, traits, remarks, int(max_mb * 1e6))
     typer.echo(target)
     for remark in remarks:
         typer.echo(remark, err=True)
