@@ -99,6 +99,4 @@ def _count_wrong(density: Tensor, total: int, floor: int) -> int:
     return missed + outside + uneven
 
 
-SECTION = SuiteSection(
-    "allocation", "Does every density become counts of exactly the budget?", _run
-)
+SECTION = SuiteSection(_run)

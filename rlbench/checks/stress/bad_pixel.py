@@ -111,6 +111,4 @@ def _is_contained_unsanitized(clean: CleanRun, fault: Fault, legal: Blast) -> bo
     return blast.is_contained(legal)
 
 
-SECTION = MethodSection(
-    "bad-pixel", "Does one bad value stay where it is, and does it vanish?", run
-)
+SECTION = MethodSection(run)

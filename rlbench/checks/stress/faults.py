@@ -15,8 +15,8 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
+from rlbench.checks.display import psnr, to_display
 from rlbench.checks.frame_edits import stored_radiance, to_clip, with_buffers
-from rlbench.checks.stress.display import psnr, to_display
 from rlbench.checks.stress.section import StressedMethod
 from rlbench.checks.stress.wrappers import RecordDensity, ReplayDensity, ResumeRun
 from rlbench.checks.tensors import iterate_tensors

@@ -16,9 +16,9 @@ import torch
 from jaxtyping import Float
 from torch import Tensor, nn
 
+from rlbench.checks.display import psnr
 from rlbench.checks.frame_edits import join_clips
 from rlbench.checks.result import CheckResult, Limits, judge, not_applicable
-from rlbench.checks.stress.display import psnr
 from rlbench.checks.stress.section import MethodSection, StressedMethod
 from rlbench.checks.tensors import iterate_parts, iterate_tensors
 from rlbench.clips.in_memory import ComputedFrames, InMemoryClip
@@ -307,4 +307,4 @@ def count_live_bytes() -> int:
     return sum({storage.data_ptr(): storage.nbytes() for storage in storages}.values())
 
 
-SECTION = MethodSection("long-runs", "Does it stay stable, and converge, over 1,000 frames?", run)
+SECTION = MethodSection(run)

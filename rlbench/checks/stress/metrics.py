@@ -195,4 +195,4 @@ def _references(height: int, width: int) -> list[Tensor]:
     return [(channels * (frame + 1).square() / 4).contiguous() for frame in frames]
 
 
-SECTION = SuiteSection("metrics", "Does every metric notice a broken image?", _run)
+SECTION = SuiteSection(_run)

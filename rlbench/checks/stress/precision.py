@@ -12,9 +12,9 @@ from typing import Any
 import torch
 from torch import Tensor, nn
 
+from rlbench.checks.display import largest_difference, psnr
 from rlbench.checks.frame_edits import edit_tensors, select_clip, to_clip
 from rlbench.checks.result import CheckResult, Limits, judge, not_applicable
-from rlbench.checks.stress.display import largest_difference, psnr
 from rlbench.checks.stress.section import MethodSection, StressedMethod
 from rlbench.checks.stress.wrappers import RecordDensity, ReplayDensity
 from rlbench.clips.in_memory import InMemoryClip
@@ -271,6 +271,4 @@ def _thread_count(threads: int) -> Iterator[None]:
         torch.set_num_threads(before)
 
 
-SECTION = MethodSection(
-    "precision", "How much do precision, threads, batch and device change the image?", run
-)
+SECTION = MethodSection(run)

@@ -84,8 +84,6 @@ class StressedMethod:
 class MethodSection:
     """Tests that run once per method."""
 
-    name: str  # as in --only, e.g. "bad-pixel"
-    title: str  # the question that the section answers
     run: Callable[[StressedMethod, bool], Iterator[CheckResult]]  # the flag selects the quick form
 
 
@@ -93,8 +91,6 @@ class MethodSection:
 class SuiteSection:
     """Tests of the suite itself, which run once: metrics, gradient estimators."""
 
-    name: str
-    title: str
     run: Callable[[bool], Iterator[CheckResult]]  # the flag selects the quick form
 
 
@@ -168,10 +164,7 @@ def select_sections(names: Iterable[str] = ()) -> list[str]:
 
 
 def load_section(name: str) -> MethodSection | SuiteSection:
-    """Import a section.
-
-    Raises PluginError for an object that is no section, or that has another name.
-    """
+    """Import a section. Raises PluginError for an object that is no section."""
     target = list_sections()[name]
     section = registry.resolve(target)
     if not isinstance(section, MethodSection | SuiteSection):
@@ -179,6 +172,4 @@ def load_section(name: str) -> MethodSection | SuiteSection:
             f"{target} is an object of type {type(section).__name__}; a stress section is a "
             "MethodSection or a SuiteSection of rlbench.checks.stress.section"
         )
-    if section.name != name:
-        raise PluginError(f"{target} has the name '{section.name}', but is registered as '{name}'")
     return section

@@ -10,6 +10,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
+from rlbench.checks.display import psnr, psnr_of_frames
 from rlbench.checks.frame_edits import (
     edit_radiance,
     edit_tensors,
@@ -20,7 +21,6 @@ from rlbench.checks.frame_edits import (
     with_buffers,
 )
 from rlbench.checks.result import CheckResult, Limits, judge, not_applicable
-from rlbench.checks.stress.display import psnr, psnr_of_frames
 from rlbench.checks.stress.section import MethodSection, StressedMethod
 from rlbench.checks.stress.wrappers import RecordDensity, ReplayDensity, ReversedSamples
 from rlbench.clips.in_memory import InMemoryClip
@@ -299,8 +299,4 @@ def _mean(scores: Iterable[Tensor]) -> float:
     return float(torch.stack(list(scores)).mean())
 
 
-SECTION = MethodSection(
-    "transformations",
-    "Does the error stay the same under exposure, flips, shifts and sudden events?",
-    run,
-)
+SECTION = MethodSection(run)

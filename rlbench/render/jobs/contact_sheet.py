@@ -8,7 +8,6 @@ Traced frames are cached, so an interrupted sheet resumes with the next scene.
 from __future__ import annotations
 
 import argparse
-import gc
 import math
 from collections.abc import Callable, Sequence
 from pathlib import Path
@@ -113,8 +112,6 @@ def _cached_frame(
     image = tracer.trace_mean(spp, STREAM, on_samples=lambda count: on_samples(scene.name, count))
     with paths.atomic_write(file) as temporary, temporary.open("wb") as stream:
         np.save(stream, image)
-    del tracer
-    gc.collect()  # while the old scene is alive, Dr.Jit compiles kernels for the next one again
     return image
 
 

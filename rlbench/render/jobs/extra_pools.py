@@ -9,7 +9,6 @@ files are written.
 
 from __future__ import annotations
 
-import gc
 import math
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field, replace
@@ -123,14 +122,12 @@ def add_pools(missing: Sequence[MissingPool], bar: Progress) -> None:
     for pool in missing:
         bar.update(task, description=pool.job.name)
         add_pool(pool, lambda: bar.advance(task))
-        gc.collect()
 
 
 def add_pool(missing: MissingPool, on_frame: Callable[[], None] = lambda: None) -> None:
     """Trace the missing frames of a pool, then list it in clip.toml; `on_frame` runs after each."""
     missing.claim_files()
     preset, scene, kind = missing.job.preset, missing.job.scene, missing.kind
-    gc.collect()  # while the old scene is alive, Dr.Jit compiles kernels for the next one again
     tracer = WavefrontTracer(scene, *preset.size, SEED, preset.radiance_cap / scene.exposure)
     if frames := missing.missing_frames:
         trace_frame = open_streams(tracer, kind, preset.pool_spp)

@@ -5,7 +5,6 @@ The process that started the job writes the frames to disk, wherever they are tr
 
 from __future__ import annotations
 
-import gc
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -230,7 +229,6 @@ class FrameRenderer:
         """The tracer of a clip's scene; the scene opened before is closed."""
         if self._open is None or self._open[0] != clip_index:
             self._open = None
-            gc.collect()  # while the old scene is alive, Dr.Jit compiles kernels for the next again
             job = self.jobs[clip_index]
             cap = job.preset.radiance_cap / job.scene.exposure
             self._open = clip_index, open_tracer(job.scene, *job.preset.size, SEED, cap)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import gc
 from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import lru_cache
@@ -185,7 +184,6 @@ def open_wavefronts(folder: Path) -> Tracer:
 
 def open_clip_tracer(folder: Path) -> Tracer:
     """The tracer of a clip's scene, at its size and with its radiance cap."""
-    gc.collect()  # while the old scene is alive, Dr.Jit compiles kernels for the next one again
     header = read_header(folder)
     cap = header.radiance_cap / header.exposure
     size = header.height, header.width

@@ -6,7 +6,6 @@ written last, because they hold the time of a sample, which must be measured on 
 
 from __future__ import annotations
 
-import gc
 import importlib.metadata
 import inspect
 import logging
@@ -15,7 +14,6 @@ from collections.abc import Collection, Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import replace
 from functools import partial
-from hashlib import sha256
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -51,7 +49,6 @@ if TYPE_CHECKING:
 __all__ = [
     "ensure",
     "new_or_given_bar",
-    "preset_hash",
     "remeasure_sample_ms",
     "preset_jobs",
     "render_clip",
@@ -222,7 +219,6 @@ def _render_all(jobs: list[Job], bar: Progress, executor: Executor) -> None:
     for batch in [[job] for job in jobs] if executor.exclusive else [jobs]:
         bar.update(task, description=batch[0].name if len(batch) == 1 else f"{len(batch)} clips")
         errors += _render_frames(batch, partial(bar.advance, task), executor)
-        gc.collect()
     _raise_first(errors)
 
 
@@ -230,7 +226,6 @@ def _estimate(jobs: list[Job], executor: Executor) -> str:
     """The work ahead in words, with the time it takes on this machine, after a short trial."""
     preset, paths_to_trace = jobs[0].preset, _count_paths(jobs)
     trial_ms = open_tracer(jobs[0].scene, *preset.size).measure_sample_ms(repeats=1, spp=TRIAL_SPP)
-    gc.collect()  # while the old scene is alive, Dr.Jit compiles kernels for the next one again
     seconds = paths_to_trace / (preset.size[0] * preset.size[1]) * trial_ms / 1e3
     at_most = "at most " if preset.max_reference_rounds > 1 else ""
     alone = f" on this machine alone; {executor.description}" if executor.description else ""
@@ -304,16 +299,6 @@ def render_preset_clips(
     return ensure(selected, scenes or None, seeds, executor=executor or LOCAL)
 
 
-def preset_hash(preset: str) -> str:
-    """16 hex digits of the names and content keys of a preset's clips, and of its sample pools.
-
-    Nothing is rendered. Raises LookupError for an unknown preset.
-    """
-    jobs = preset_jobs(preset)
-    content = [f"{job.name} {' '.join(job.preset.pools)} {job.content_key}" for job in jobs]
-    return sha256("".join(content).encode()).hexdigest()[:16]
-
-
 def remeasure_sample_ms(folder: Path) -> Header:
     """Measure the times of a clip of an installed scene, write its header and return it.
 
@@ -332,8 +317,6 @@ def remeasure_sample_ms(folder: Path) -> Header:
     size = header.height, header.width
     tracer = open_tracer(scene_of_clip(header.name).inspect(header.frames, size), *size)
     times = measure_trace_times(tracer)
-    del tracer
-    gc.collect()  # while the old scene is alive, Dr.Jit compiles kernels for the next one again
     ratio = times.sample_ms / header.sample_ms if header.sample_ms > 0 else math.nan
     others = (ms * ratio for ms in header.pools_ms[1:])  # the path tracer's pool comes first
     pools_ms = (times.sample_ms, *others) if header.pools_ms else ()

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import gc
 import hashlib
 import math
 import re
@@ -153,8 +152,6 @@ def _inspect(
         scene = replace(scene, camera=path.choose_camera(tracer, frames))
         tracer.scene = scene
     estimate = auto_exposure.estimate_exposure(tracer, frames)
-    del tracer
-    gc.collect()  # while the old scene is alive, Dr.Jit compiles kernels for the next one again
     return replace(scene, exposure=exposure or estimate)
 
 

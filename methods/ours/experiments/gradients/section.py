@@ -133,6 +133,4 @@ def _where(measurement: Measurement) -> str:
     return f"at {measurement.spp:g} spp, {measurement.denoiser}"
 
 
-SECTION = SuiteSection(
-    "gradients", "How biased and how noisy are the gradients that train a sampler?", run_gradients
-)
+SECTION = SuiteSection(run_gradients)
