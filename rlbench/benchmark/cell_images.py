@@ -32,21 +32,6 @@ from rlbench.errors import RlbenchError
 from rlbench.run import FrameResult
 from rlbench.system import documents, paths
 
-__all__ = [
-    "CellImages",
-    "KeptCell",
-    "KeptFrame",
-    "KeptImages",
-    "KeptImagesError",
-    "drop_images",
-    "find_all_images",
-    "find_images",
-    "find_kept_cells",
-    "image_pools",
-    "list_images",
-    "write_images",
-]
-
 FOLDER = "images"  # in a results folder
 RECORD = "cell.json"
 SCHEMA = 1  # of the record and of the channels

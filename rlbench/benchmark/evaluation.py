@@ -40,8 +40,6 @@ from rlbench.run import FrameResult
 from rlbench.system import provenance
 from rlbench.system.folder_lock import locked_folder
 
-__all__ = ["EvaluatedMetric", "EvaluationSummary", "evaluate", "select_metrics"]
-
 SCORING = ("rlbench.benchmark.evaluation", "rlbench.benchmark.scoring")  # images to numbers
 OF_RUNS = "srgb"  # the convention in which a run scores
 

@@ -52,16 +52,6 @@ from rlbench.run import FrameResult
 from rlbench.system import code_hash
 from rlbench.system.folder_lock import locked_folder
 
-__all__ = [
-    "Claim",
-    "ForeignClip",
-    "ForeignImagesError",
-    "ScoredClip",
-    "check_name",
-    "find_foreign_images",
-    "score_foreign_images",
-]
-
 ENCODINGS = {
     ".exr": "EXR, linear radiance",
     ".pfm": "PFM, linear radiance",

@@ -24,24 +24,6 @@ if TYPE_CHECKING:
     import pandas as pd
     import pyarrow as pa
 
-__all__ = [
-    "COLUMNS",
-    "DamagedFileError",
-    "MissingRowsError",
-    "Row",
-    "RowName",
-    "RowOptions",
-    "TableError",
-    "cells",
-    "drop_cell",
-    "read",
-    "read_cell_rows",
-    "select_methods",
-    "set_aside_damaged",
-    "to_dataframe",
-    "write_cell",
-]
-
 UNRELIABLE = "unreliable:"  # begins the note of a time that failed its test; the reason follows
 NO_GBUFFER = "the method reads no G-buffer"  # convention of its time, which is 0
 TWO_DEVICES = "two devices:"  # in the note of a frame's time that adds times of two devices

@@ -25,22 +25,6 @@ from rlbench.ops.sanitize import sanitize_motion
 from rlbench.run import FrameResult
 from rlbench.wrappers import TileMemory
 
-__all__ = [
-    "GroundTruthCache",
-    "add_counts",
-    "buffers_of_truth",
-    "compare_frame",
-    "count_rows",
-    "make_ground_truth",
-    "refusal_row",
-    "results_of_images",
-    "row_template",
-    "score_clip",
-    "score_frame",
-    "score_frames",
-    "with_value",
-]
-
 MAX_PIXELS = 2**21  # of all frames of a clip that is kept: about 0.3 GB
 EVENTS = {"cut": "another shot begins", "light": "lights change"}
 COUNTED = "share of the pixels of all frames, pilot samples included"

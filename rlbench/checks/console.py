@@ -12,8 +12,6 @@ from rich.markup import escape
 
 from rlbench.checks.result import CheckResult, Verdict
 
-__all__ = ["print_lines", "print_results"]
-
 MARKS = {
     Verdict.PASSED: "[green]✓[/green]",
     Verdict.WARNING: "[yellow]![/yellow]",

@@ -11,8 +11,6 @@ from rlbench.cli.json_output import show_checks
 from rlbench.cli.methods import load_rows, require_methods
 from rlbench.cli.options import flag
 
-__all__ = ["check"]
-
 
 def check(
     context: typer.Context,

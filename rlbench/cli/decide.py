@@ -20,8 +20,6 @@ from rlbench.registry.near_names import unknown_name
 if TYPE_CHECKING:
     import pandas as pd
 
-__all__ = ["decide"]
-
 
 def decide(
     frame_ms: Annotated[

@@ -12,8 +12,6 @@ from rlbench.cli.arguments import parse_positive
 from rlbench.cli.methods import load_plugins
 from rlbench.cli.options import CLIPS, METHODS, complete_methods, option
 
-__all__ = ["denoise"]
-
 
 def denoise(
     source: Annotated[

@@ -14,8 +14,6 @@ from rlbench.cli.options import option
 if TYPE_CHECKING:
     from rlbench.clips.importers.sequence import ImportedSequence
 
-__all__ = ["import_"]
-
 
 def import_(
     source: Annotated[

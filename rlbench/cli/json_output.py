@@ -22,18 +22,6 @@ if TYPE_CHECKING:
     from rlbench.benchmark.cache_entries import CacheEntry
     from rlbench.benchmark.run_outcome import RunOutcome
 
-__all__ = [
-    "CacheOutput",
-    "ChecksOutput",
-    "ReportOutput",
-    "RunOutput",
-    "ScenesOutput",
-    "as_json_text",
-    "print_json",
-    "run_output",
-    "show_checks",
-]
-
 
 @dataclass(frozen=True)
 class RunOutput:
@@ -154,12 +142,12 @@ def show_checks(
     rows = []
     for name, results in checked:
         checks = print_results(results, Console(quiet=as_json), name, debug)
-        made = [
+        lines = [
             {"check": c.check, "verdict": c.verdict.value, "found": c.found, "remedy": c.remedy}
             for c in checks
         ]
         passed = all(each.verdict is not Verdict.FAILED for each in checks)
-        rows.append({"name": name, "passed": passed, "checks": made})
+        rows.append({"name": name, "passed": passed, "checks": lines})
     if as_json:
         print_json(ChecksOutput(all(row["passed"] for row in rows), rows))
     return rows

@@ -11,8 +11,6 @@ from rlbench.cli import options
 from rlbench.cli.json_output import show_checks
 from rlbench.cli.options import file, flag, option
 
-__all__ = ["lint"]
-
 
 def lint(
     clips: Annotated[

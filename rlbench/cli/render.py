@@ -26,8 +26,6 @@ if TYPE_CHECKING:
     from rlbench.render.presets import Preset
     from rlbench.render.user.clip import UserSceneOptions
 
-__all__ = ["render", "select_tracer"]
-
 OF_PRESETS = (
     "scenes", "takes", "radiance_cap", "buffers", "remeasure_sample_time", "digests"
 )  # fmt: skip
@@ -244,7 +242,7 @@ def _digest(folder: Path) -> str:
 
 def _remeasure(folder: Path) -> str:
     """Measure the times of a clip's tracer again; returns them as text, with the former one."""
-    from rlbench.clips.stored import read_header
+    from rlbench.clips.header import read_header
     from rlbench.render.jobs.render_clips import remeasure_sample_ms
 
     before_ms = read_header(folder).sample_ms

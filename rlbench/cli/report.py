@@ -26,8 +26,6 @@ if TYPE_CHECKING:
 
     from rlbench.benchmark.shown_clips import ShownClips
 
-__all__ = ["report"]
-
 
 def report(
     name: Annotated[

@@ -12,8 +12,6 @@ from rlbench.cli.arguments import parse_positive, split_names
 from rlbench.cli.options import MEASUREMENT, flag, option
 from rlbench.errors import OptionError
 
-__all__ = ["score"]
-
 
 def score(
     name: Annotated[str, typer.Argument(metavar="NAME", help="name of the rows, such as nrd")],

@@ -20,8 +20,6 @@ from rlbench.cli.methods import expand_methods, load_rows
 from rlbench.cli.options import MEASUREMENT, METHODS, file, flag, folder, option
 from rlbench.errors import OptionError
 
-__all__ = ["speed"]
-
 SIZES = PixelSizes((PixelSize((192, 192)), PixelSize((720, 720)), PixelSize((1080, 1920))))
 
 

@@ -15,8 +15,6 @@ from rlbench.cli.selection import find_sources, nearest_to_one, read_rows, selec
 if TYPE_CHECKING:
     import pandas as pd
 
-__all__ = ["video"]
-
 PICTURE, PLAYBACK = "Picture", "Playback"  # titles of groups of options
 
 

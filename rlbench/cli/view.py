@@ -14,8 +14,6 @@ from rlbench.cli.methods import load_plugins
 from rlbench.cli.options import OUTPUT, file, flag, option
 from rlbench.cli.selection import find_images, read_rows
 
-__all__ = ["describe_traits", "view"]
-
 
 def view(
     results: options.RunFolder = Path("results"),

@@ -49,8 +49,6 @@ from rlbench.registry import (
 from rlbench.registry.failure import keep_frames
 from rlbench.system import code_hash, provenance
 
-__all__ = ["EXECUTORS", "QUIET_ENVIRONMENT", "RayExecutor", "WorkerEnvironment", "open_executor"]
-
 EXECUTORS = ("local", "ray")
 JOBS_PER_SLOT = 2  # submitted for each that can run, so that no worker waits for this process
 MAX_RETRIES = 3  # of a job whose worker died

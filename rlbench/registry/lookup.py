@@ -15,19 +15,6 @@ from rlbench.registry.plugin_code import exits_as_errors
 from rlbench.registry.plugin_files import PluginEntry
 from rlbench.registry.stand_ins import find_stand_in
 
-__all__ = [
-    "find_method",
-    "failure_reason",
-    "load_family",
-    "import_error",
-    "load_plugin",
-    "load_or_explain",
-    "load_metrics",
-    "load_run_metrics",
-    "list_plugins",
-    "get_variant",
-]
-
 
 def list_plugins(group: str) -> list[str]:
     """Names of the plugins of a group, also of those that cannot be imported.

@@ -12,20 +12,6 @@ from rlbench.clips.header import OPTIONAL_BUFFERS
 from rlbench.errors import RlbenchError
 from rlbench.registry.near_names import unknown_name
 
-__all__ = [
-    "GENERATORS",
-    "PRESETS",
-    "TEST_SCENES",
-    "Preset",
-    "PresetError",
-    "PresetUse",
-    "TakeSelection",
-    "UnknownPresetError",
-    "get_preset",
-    "is_clip_for",
-    "is_test_split",
-]
-
 TEST_SCENES = ("city", "temple", "hall", "ripples")
 # scenes by others: the scene's own camera, then random paths by seed
 REAL = tuple(

@@ -14,8 +14,6 @@ from rlbench.checks.result import CheckResult, Verdict, failed, not_applicable, 
 from rlbench.checks.returns import Fault, WrongReturnError
 from rlbench.system.progress import LoggedProgress
 
-__all__ = ["CHECKS", "check_methods", "run_check", "run_checks", "select_methods"]
-
 CHECKS = {  # in the order in which they are defined
     check.name: check
     for module in (interface_checks, state_checks)

@@ -26,8 +26,6 @@ from rlbench.checks.stress.section import MethodSection, StressedMethod
 from rlbench.frames import Size
 from rlbench.sanitize import read_unsanitized
 
-__all__ = ["SECTION", "run"]
-
 SIZE, QUICK_SIZE = Size(1, 64, 64), Size(1, 48, 48)
 QUICK_VALUES = ("nan", "65504")
 FREE_VALUES = ("nan", "65504", "minus-one")  # also with free counts, and without sanitising

@@ -23,8 +23,6 @@ from rlbench.method import Method
 from rlbench.run import FrameResult
 from rlbench.sampling import BudgetError
 
-__all__ = ["SECTION"]
-
 SEED = 8
 SMALL = (48, 64)  # height and width, where the size does not matter
 SIZES = ((1, 1), (1, 17), (7, 9), (77, 123))

@@ -26,18 +26,6 @@ from rlbench.method import Method, State
 from rlbench.run import ReadFrame, run_clip
 from rlbench.sanitize import sanitize_frame
 
-__all__ = [
-    "VALUES",
-    "Blast",
-    "CleanRun",
-    "Fault",
-    "compare_frames",
-    "plant_in_buffer",
-    "plant_in_samples",
-    "plant_in_state",
-    "run_clean",
-]
-
 VALUES = {
     "nan": math.nan,
     "inf": math.inf,

@@ -28,8 +28,6 @@ from rlbench.method import State
 from rlbench.run import FrameResult, run_clip
 from rlbench.wrappers import HalfPrecision
 
-__all__ = ["MOVING", "SECTION", "STATIC", "long_clip", "run"]
-
 FRAMES, VARIANT_FRAMES, HALF_FRAMES, QUICK_FRAMES = 1000, 400, 220, 48
 WINDOW, QUICK_WINDOW = 100, 16  # frames over which a PSNR is averaged
 STATIC, MOVING = 0, 1  # positions in the batch

@@ -17,8 +17,6 @@ from rlbench.clips.importers.stand_ins import STAND_INS as CONSTANTS
 from rlbench.clips.procedural.clip import procedural_clip
 from rlbench.frames import Frame, Size
 
-__all__ = ["LIES", "SECTION", "run", "tell_lie"]
-
 SEED = 7500
 SIZE, QUICK_SIZE = Size(2, 32, 48), Size(1, 16, 24)
 FRAMES, QUICK_FRAMES = 6, 4

@@ -19,8 +19,6 @@ from rlbench import registry
 from rlbench.checks.result import CheckResult, Limits, Verdict, not_applicable
 from rlbench.checks.stress.section import SuiteSection, report_exception
 
-__all__ = ["SECTION", "stress_metric"]
-
 SIZE, TINY = (192, 176), (7, 9)  # height and width; MS-SSIM needs sides above 160 pixels
 SEED = 11
 NOISE = 0.01  # standard deviation of the slightly noisy image, in display whites

@@ -23,8 +23,6 @@ from rlbench.frames import Size
 from rlbench.method import Method
 from rlbench.wrappers import HalfPrecision
 
-__all__ = ["SECTION", "convert_method", "run"]
-
 SEED = 7200
 CLIPS = 3  # in the batch; all other tests run the first one alone
 SIZE, QUICK_SIZE = Size(CLIPS, 32, 48), Size(CLIPS, 16, 24)

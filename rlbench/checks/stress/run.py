@@ -31,8 +31,6 @@ from rlbench.system import paths, provenance
 from rlbench.system.folder_lock import locked_folder
 from rlbench.system.progress import is_shown
 
-__all__ = ["VERDICT_NAMES", "count_contained", "print_summary", "stress_methods", "write_tables"]
-
 VERDICT_NAMES = {
     Verdict.PASSED: "passed",
     Verdict.WARNING: "degraded",

@@ -23,20 +23,6 @@ from rlbench.registry.near_names import unknown_name
 from rlbench.run import FrameResult, run_clip
 from rlbench.system import provenance
 
-__all__ = [
-    "CORE_SECTIONS",
-    "MethodSection",
-    "StressedMethod",
-    "SuiteSection",
-    "attempt",
-    "list_sections",
-    "load_section",
-    "load_stressed_method",
-    "report_exception",
-    "select_sections",
-    "unavailable_reason",
-]
-
 DEFAULT_SPP = 2.0  # samples per pixel of tests in which the budget does not matter
 RETURN_IMAGE = "return a finite image for this input, without an exception"
 FOLDER = "rlbench.checks.stress"

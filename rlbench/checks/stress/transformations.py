@@ -27,8 +27,6 @@ from rlbench.clips.in_memory import InMemoryClip
 from rlbench.clips.procedural.clip import procedural_clip
 from rlbench.frames import Frame, Size
 
-__all__ = ["SECTION", "SYMMETRIES", "Symmetry", "run"]
-
 SEED, EVENT_SEED = 7300, 7400
 SIZE, QUICK_SIZE = Size(3, 32, 48), Size(1, 16, 24)  # adaptive counts differ: several clips
 EVENT_SIZE = Size(2, 32, 48)

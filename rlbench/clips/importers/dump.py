@@ -27,8 +27,6 @@ from rlbench.clips.importers.sequence import (
 )
 from rlbench.clips.importers.stand_ins import add_stand_ins
 
-__all__ = ["find_dump_sequences", "match_files", "sequence_name"]
-
 GBUFFER = ("albedo", "normal", "depth", "motion")
 Files = dict[FileKey, tuple[int, Path]]  # with the rank of the pattern that matched
 

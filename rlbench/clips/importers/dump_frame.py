@@ -33,17 +33,6 @@ from rlbench.clips.importers.image_files import (
 from rlbench.clips.importers.layout import Image, Layout
 from rlbench.clips.importers.sequence import ImportedFrame, Pixels, SourceError
 
-__all__ = [
-    "FLIPS",
-    "FrameFiles",
-    "count_samples",
-    "has_image",
-    "image_channels",
-    "image_size",
-    "read_frame",
-    "read_rotation",
-]
-
 RGB, XYZ = ("*.R", "*.G", "*.B"), ("*.X", "*.Y", "*.Z")
 CHANNELS = {  # usual names, the preferred ones first
     "albedo": (RGB,),

@@ -14,8 +14,6 @@ from rlbench.clips.importers.sequence import SourceError
 from rlbench.registry.near_names import suggest, unknown_name
 from rlbench.system.documents import decode, read_toml
 
-__all__ = ["Image", "Layout", "decode_layout", "read_layout", "ready_layouts"]
-
 Words = str | tuple[str, ...]
 Curve = Literal["linear", "srgb"]
 Alpha = Literal["premultiplied", "straight"]

@@ -27,8 +27,6 @@ from rlbench.render.scene import Scene
 from rlbench.system import paths
 from rlbench.system.progress import LoggedProgress
 
-__all__ = ["cut_tile", "tile_images", "tone_map", "write_sheet"]
-
 TIME = 4.0  # the frame shown
 STREAM = "referenceA"
 WHITE = 4.0  # luminance, in display whites, that the tone curve maps to 1

@@ -22,8 +22,7 @@ from rich.progress import Progress
 
 from rlbench import registry
 from rlbench.clips.frame_files import exr_path, write_pool
-from rlbench.clips.header import FILE
-from rlbench.clips.stored import Header, read_header, write_header
+from rlbench.clips.header import FILE, Header, read_header, write_header
 from rlbench.pools import PoolKind, SampleStreams
 from rlbench.render.jobs.job import FRAME_POOLS, SEED, Job
 from rlbench.render.mitsuba import load
@@ -34,17 +33,6 @@ from rlbench.render.mitsuba.variant import select_variant
 from rlbench.render.scene import Scene
 from rlbench.system import paths
 from rlbench.system.provenance import machine
-
-__all__ = [
-    "MissingPool",
-    "PoolStage",
-    "add_pool",
-    "add_pools",
-    "find_missing_pools",
-    "open_streams",
-    "pool_sample_ms",
-    "relative_cost",
-]
 
 TIMED_SPP = 4  # samples per pixel and frame in a time measurement
 

@@ -16,35 +16,21 @@ import numpy as np
 from jaxtyping import Float
 from numpy import ndarray as Array
 
-from rlbench.clips.header import FILE, Header, names_in_digests
-from rlbench.clips.stored import ClipError, has_frame, write_frame
+from rlbench.clips.frame_files import has_frame, write_frame
+from rlbench.clips.header import FILE, ClipError, Header, names_in_digests
 from rlbench.frames import BUFFERS
 from rlbench.parallel.executor import ProgressCallback, Resources
 from rlbench.render.fingerprint import fingerprint
 from rlbench.render.jobs import references
 from rlbench.render.jobs.references import SPP_FILES, read_spp, stored_noise_ceiling_db
 from rlbench.render.mitsuba.gbuffer import render_gbuffer
-from rlbench.render.mitsuba.open_tracer import Tracer, describe_tracer, open_tracer
+from rlbench.render.mitsuba.open_tracer import describe_tracer, open_tracer
+from rlbench.render.mitsuba.tracer import Tracer
 from rlbench.render.mitsuba.variant import select_variant
 from rlbench.render.presets import Preset
 from rlbench.render.scene import Scene
 from rlbench.system import paths
 from rlbench.system.provenance import machine
-
-__all__ = [
-    "TraceTimes",
-    "measure_trace_times",
-    "CONTENT_KEY_FILE",
-    "FRAME_POOLS",
-    "FrameBuffers",
-    "FrameRenderer",
-    "FrameTask",
-    "Job",
-    "SEED",
-    "frame_resources",
-    "read_content_key",
-    "save_frame",
-]
 
 FRAME_POOLS = ("path",)  # pools that are traced with each frame; others are added to finished clips
 CONTENT_KEY_FILE = "scene.txt"  # beside the frames

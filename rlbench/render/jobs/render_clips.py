@@ -20,7 +20,7 @@ from typing import TYPE_CHECKING
 from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn, TimeRemainingColumn
 
 from rlbench import registry
-from rlbench.clips.stored import ClipError, Header, read_header, write_header
+from rlbench.clips.header import ClipError, Header, read_header, write_header
 from rlbench.errors import OptionError
 from rlbench.parallel.executor import LOCAL, Executor, ProgressCallback
 from rlbench.registry.near_names import unknown_name
@@ -35,7 +35,8 @@ from rlbench.render.jobs.job import (
     measure_trace_times,
     save_frame,
 )
-from rlbench.render.mitsuba.open_tracer import Tracer, open_tracer
+from rlbench.render.mitsuba.open_tracer import open_tracer
+from rlbench.render.mitsuba.tracer import Tracer
 from rlbench.render.mitsuba.variant import select_variant
 from rlbench.render.presets import Preset
 from rlbench.render.scene import Scene, SceneError
@@ -45,18 +46,6 @@ from rlbench.system.provenance import machine
 
 if TYPE_CHECKING:
     from rlbench.parallel.executor import Executor
-
-__all__ = [
-    "ensure",
-    "new_or_given_bar",
-    "remeasure_sample_ms",
-    "preset_jobs",
-    "render_clip",
-    "render_missing",
-    "render_preset_clips",
-    "scene_of_clip",
-    "selected_names",
-]
 
 _logger = logging.getLogger(__name__)
 

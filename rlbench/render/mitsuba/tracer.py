@@ -24,8 +24,6 @@ from rlbench.render.mitsuba import load
 from rlbench.render.mitsuba.load import EmitterScaler
 from rlbench.render.scene import Pose, Scene
 
-__all__ = ["MAX_PATHS", "STREAMS", "Tracer", "make_sampler", "stream_key"]
-
 MAX_PATHS = 2**20  # per launch; a path needs about 100 bytes
 STREAMS = ("input", "pilot", "referenceA", "referenceB", "restir")
 

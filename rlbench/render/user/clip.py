@@ -16,7 +16,8 @@ from numpy import ndarray as Array
 from rlbench.parallel.executor import LOCAL, Executor
 from rlbench.render.jobs.job import FRAME_POOLS, Job
 from rlbench.render.jobs.render_clips import render_missing
-from rlbench.render.mitsuba.open_tracer import Tracer, open_tracer
+from rlbench.render.mitsuba.open_tracer import open_tracer
+from rlbench.render.mitsuba.tracer import Tracer
 from rlbench.render.mitsuba.variant import select_variant
 from rlbench.render.presets import Preset
 from rlbench.render.scene import Camera, Scene, SceneError
@@ -24,8 +25,6 @@ from rlbench.render.user import auto_exposure, camera_path
 from rlbench.render.user.scene_file import UserScene, open_scene_file
 from rlbench.render.user.wander import WANDER_VERSION, wander
 from rlbench.system import paths
-
-__all__ = ["CameraPath", "UserSceneOptions", "describe_job", "ensure_user_clip", "plan_clip"]
 
 FOLDER = "own-"  # prefix of the preset's folder in the cache
 MOVING = ("orbit", "dolly", "wander")  # paths that depend on the surfaces in view

@@ -13,24 +13,6 @@ from rlbench.render.scene import SceneError
 from rlbench.scenes.collection.pins import SCENE_FILE, Pin, PinnedFile, read_pin
 from rlbench.system import documents, paths
 
-__all__ = [
-    "CREDITS",
-    "MIRROR_VARIABLE",
-    "CollectionScene",
-    "LocatedScene",
-    "credit",
-    "describe_state",
-    "digest",
-    "find_located",
-    "find_scene",
-    "load_catalog",
-    "locate",
-    "mirror_folder",
-    "own_pin_file",
-    "pins_folder",
-    "place_of",
-]
-
 CATALOG = Path(__file__).parent / "catalog.toml"
 SHIPPED_PINS = CATALOG.parent / "pins"
 MIRROR_VARIABLE = "RLBENCH_SCENES"

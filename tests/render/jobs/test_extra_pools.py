@@ -8,7 +8,8 @@ import pytest
 
 from baselines.restir.chains import BIASED, PLAIN, UNBIASED, Restir
 from rlbench.clips.compatibility import incompatibility
-from rlbench.clips.stored import open_clip, read_header, verify
+from rlbench.clips.header import read_header
+from rlbench.clips.stored import open_clip, verify
 from rlbench.family import Traits
 from rlbench.render.jobs import extra_pools
 from rlbench.render.jobs.extra_pools import PoolStage

@@ -10,7 +10,8 @@ from typer.testing import CliRunner
 
 from rlbench import registry
 from rlbench.cli.app import app
-from rlbench.clips.stored import ClipError, open_clip, read_header, verify, write_header
+from rlbench.clips.header import ClipError, read_header, write_header
+from rlbench.clips.stored import open_clip, verify
 from rlbench.ops.reprojection import reproject
 from rlbench.render.jobs.job import Job
 from rlbench.render.jobs.live_pool import open_live_clip
