@@ -14,6 +14,7 @@ __all__ = ["ONE_SHARE", "hash_to_integer", "round_to_total"]
 SHARE_BITS = 32
 ONE_SHARE = 2**SHARE_BITS  # a share of one sample, as an integer
 FRACTION = ONE_SHARE - 1  # mask of a share's fractional part
+_graphs: dict[tuple[torch.Size, torch.device], _Graph] = {}  # by size, on GPUs
 THRESHOLD_BITS = 30  # threshold times fraction must stay below 2^63
 
 
@@ -40,15 +41,51 @@ def round_to_total(
     >>> round_to_total(half, total=4, seeds=[0]).sum(2).tolist()
     [[2, 2]]
     """
+    _, h, w = shares.shape
+    levels = (h - 1).bit_length() + (w - 1).bit_length()
+    hashes = [[hash_to_integer(seed, level) for seed in seeds] for level in range(levels)]
+    thresholds = torch.tensor(hashes, dtype=torch.int64, device=shares.device)
+    thresholds = thresholds.view(levels, len(seeds), 1, 1)
+    totals = torch.full((len(seeds), 1, 1), total, device=shares.device)
+    inputs = (shares, totals, thresholds)
+    if not shares.is_cuda:
+        return _divide_all(*inputs)
+    if (key := (shares.shape, shares.device)) not in _graphs:
+        _graphs[key] = _Graph(*inputs)
+    return _graphs[key](*inputs)
+
+
+def _divide_all(shares: Tensor, totals: Tensor, thresholds: Tensor) -> Tensor:
+    """The counts of all pixels, from the totals [n 1 1] and a threshold per level [level n 1 1]."""
     levels = [shares]
     while levels[-1][0].numel() > 1:
         levels.append(_add_pairs(levels[-1]))
-    counts = torch.full_like(levels.pop(), total)
-    hashes = [[hash_to_integer(seed, level) for seed in seeds] for level in range(len(levels))]
-    thresholds = torch.tensor(hashes, device=shares.device)[..., None, None]  # [level n 1 1]
-    for parts, threshold in zip(reversed(levels), reversed(thresholds), strict=True):
+    counts = totals
+    for parts, threshold in zip(levels[-2::-1], reversed(thresholds), strict=True):
         counts = _divide(counts, parts, threshold)
     return counts
+
+
+class _Graph:
+    """`_divide_all` for one size as one launch: its hundreds of small steps keep a GPU waiting."""
+
+    def __init__(self, *inputs: Tensor) -> None:
+        """Record the steps for inputs of these shapes."""
+        self.graph = torch.cuda.CUDAGraph()
+        with torch.inference_mode(False):  # so that it can be used in both modes
+            self.inputs = [each.clone() for each in inputs]
+            _divide_all(*self.inputs)  # what happens on first use alone must not be recorded
+            torch.cuda.synchronize()
+            # another thread may read clips meanwhile
+            with torch.cuda.graph(self.graph, capture_error_mode="thread_local"):
+                self.output = _divide_all(*self.inputs)
+
+    def __call__(self, *inputs: Tensor) -> Tensor:
+        """The counts."""
+        for own, given in zip(self.inputs, inputs, strict=True):
+            own.copy_(given)
+        self.graph.replay()
+        return self.output.clone()
 
 
 def _axis(parts: Tensor) -> int:
