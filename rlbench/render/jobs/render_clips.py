@@ -10,8 +10,7 @@ import importlib.metadata
 import inspect
 import logging
 import math
-from collections.abc import Collection, Iterable, Iterator, Mapping
-from contextlib import contextmanager
+from collections.abc import Collection, Iterable, Mapping
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -58,20 +57,10 @@ def ensure(
     preset: Preset | str,
     scenes: Iterable[str] | None = None,
     seeds: Iterable[int] | None = None,
-    folder: Path | None = None,
-    bar: Progress | None = None,
     executor: Executor = LOCAL,
 ) -> list[Path]:
-    """The clip folders of a preset, after rendering the missing frames.
-
-    `scenes`, and `seeds` of generated scenes, replace those of the preset; if only one of the two
-    is given, the other is empty. A scene name selects the takes that the preset has of it,
-    `<scene>-<take>` selects one take. Complete frames are kept unless the scene has changed since.
-    `folder` holds the clips in place of the cache, `bar` replaces the progress bar on standard
-    error, and `executor` traces the frames. Raises LookupError for an unknown preset or scene, and
-    SceneError for an unknown take.
-    """
-    return render_missing(preset_jobs(preset, scenes, seeds, folder), bar, executor)
+    """The clip folders of `preset_jobs`, after rendering the missing frames."""
+    return render_missing(preset_jobs(preset, scenes, seeds), executor)
 
 
 def preset_jobs(
@@ -80,7 +69,13 @@ def preset_jobs(
     seeds: Iterable[int] | None = None,
     folder: Path | None = None,
 ) -> list[Job]:
-    """The render jobs of a preset's clips, selected as by `ensure`; nothing is rendered."""
+    """The render jobs of a preset's clips; nothing is rendered.
+
+    `scenes`, and `seeds` of generated scenes, replace those of the preset; if only one of the two
+    is given, the other is empty. A scene name selects the takes that the preset has of it,
+    `<scene>-<take>` selects one take. `folder` holds the clips in place of the cache. Raises
+    LookupError for an unknown preset or scene, and SceneError for an unknown take.
+    """
     preset = presets.get_preset(preset) if isinstance(preset, str) else preset
     folder = folder or paths.clips_folder() / preset.name
     scene_of: dict[str, Scene] = {}
@@ -104,16 +99,16 @@ def _check_complete(scenes: Mapping[str, Scene], preset: Preset) -> None:
 def selected_names(
     preset: Preset, scenes: Iterable[str] | None = None, seeds: Iterable[int] | None = None
 ) -> list[str]:
-    """The names of the scenes and of the generated clips that `ensure` selects."""
+    """The names of the scenes and of the generated clips that `preset_jobs` selects."""
     if scenes is None and seeds is None:
         scenes, seeds = preset.scenes, preset.seeds
     return [*(scenes or ()), *(f"{preset.generator}-{seed:03d}" for seed in seeds or ())]
 
 
-def render_missing(
-    jobs: list[Job], bar: Progress | None = None, executor: Executor = LOCAL
-) -> list[Path]:
+def render_missing(jobs: list[Job], executor: Executor = LOCAL) -> list[Path]:
     """The folders of clips of one preset, after rendering the missing frames.
+
+    Complete frames are kept unless the scene has changed since.
 
     Pools other than the path tracer's are added last, always on this machine: their samples depend
     on earlier frames.
@@ -123,11 +118,11 @@ def render_missing(
         status = f"{len(job.missing_frames)} frames missing" if job in unfinished else "finished"
         _logger.info("clip %s: %s, in %s", job.name, status, job.folder)
     if unfinished:
-        with new_or_given_bar(bar, executor) as active_bar:
-            _render_all(unfinished, active_bar, executor)
+        with progress_bar(executor) as bar:
+            _render_all(unfinished, bar, executor)
     if missing := extra_pools.find_missing_pools(jobs):
-        with new_or_given_bar(bar, LOCAL) as active_bar:
-            extra_pools.add_pools(missing, active_bar)
+        with progress_bar(LOCAL) as bar:
+            extra_pools.add_pools(missing, bar)
     return [job.folder for job in jobs]
 
 
@@ -243,16 +238,11 @@ def _make_header(job: Job, tracer: Tracer) -> Header:
     return times.written_to(job.make_header("mitsuba path", version, times.sample_ms, seed=SEED))
 
 
-@contextmanager
-def new_or_given_bar(bar: Progress | None, executor: Executor) -> Iterator[Progress]:
-    """The given progress bar, or a new one on standard error."""
-    if bar:
-        yield bar
-        return
+def progress_bar(executor: Executor) -> LoggedProgress:
+    """A progress bar on standard error."""
     columns = (TextColumn("{task.description:>16}"), BarColumn(), TaskProgressColumn())
     window = SPEED_WINDOW_S if executor.exclusive else PARALLEL_SPEED_WINDOW_S
-    with LoggedProgress(*columns, TimeRemainingColumn(), speed_estimate_period=window) as new_bar:
-        yield new_bar
+    return LoggedProgress(*columns, TimeRemainingColumn(), speed_estimate_period=window)
 
 
 def render_preset_clips(
@@ -285,7 +275,7 @@ def render_preset_clips(
         selected = selected.with_pools(pool_kinds)
     if takes is not None:
         selected = selected.with_takes(takes)
-    return ensure(selected, scenes or None, seeds, executor=executor or LOCAL)
+    return ensure(selected, scenes or None, seeds, executor or LOCAL)
 
 
 def remeasure_sample_ms(folder: Path) -> Header:

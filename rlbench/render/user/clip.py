@@ -111,7 +111,7 @@ def ensure_user_clip(
         on_message(note)
     job = job.inspect()
     on_message(describe_job(job))
-    return render_missing([job], None, executor)[0]
+    return render_missing([job], executor)[0]
 
 
 def plan_clip(
