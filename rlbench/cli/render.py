@@ -13,12 +13,11 @@ from rlbench.cli.arguments import (
     PixelSize,
     Seeds,
     parse_definition,
-    parse_positive,
     parse_seeds,
     parse_size,
     split_names,
 )
-from rlbench.cli.options import CLIPS, flag, option
+from rlbench.cli.options import CLIPS, flag, number, option
 from rlbench.errors import OptionError
 
 if TYPE_CHECKING:
@@ -92,12 +91,7 @@ def render(
     ray_address: options.RayAddress = None,
     exposure: Annotated[
         float | None,
-        option(
-            SCENE_FILE,
-            "maps radiance to display white at 1; default: estimated",
-            value="FACTOR",
-            parse=parse_positive,
-        ),
+        number(SCENE_FILE, "maps radiance to display white at 1; default: estimated", "FACTOR"),
     ] = None,
     skip_missing: Annotated[
         bool,
@@ -125,11 +119,10 @@ def render(
     takes: options.Takes = None,
     radiance_cap: Annotated[
         float | None,
-        option(
+        number(
             PRESET_SCENES,
             "scale brighter samples down to this multiple of display white",
-            value="RADIANCE",
-            parse=parse_positive,
+            "RADIANCE",
         ),
     ] = None,
     buffers: Annotated[

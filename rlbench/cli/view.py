@@ -9,9 +9,8 @@ from typing import Annotated, Any
 import typer
 
 from rlbench.cli import options
-from rlbench.cli.arguments import parse_positive
 from rlbench.cli.methods import load_plugins
-from rlbench.cli.options import OUTPUT, file, flag, option
+from rlbench.cli.options import OUTPUT, file, flag, number
 from rlbench.cli.selection import find_images, read_rows
 
 
@@ -25,12 +24,7 @@ def view(
     out: Annotated[Path | None, file("page to write; default: RESULTS/report.html")] = None,
     max_mb: Annotated[
         float,
-        option(
-            OUTPUT,
-            "largest size of the page; images are rounded until they fit",
-            value="MB",
-            parse=parse_positive,
-        ),
+        number(OUTPUT, "largest size of the page; images are rounded until they fit", "MB"),
     ] = 20.0,
     plugin: options.Plugins = None,
     gbuffer_ms: options.GbufferMs = None,

@@ -189,6 +189,11 @@ class Layout:
         return {name: value for name, value in values.items() if isinstance(value, Image)}
 
     @property
+    def moves_onward(self) -> bool:
+        """Does motion point to the next frame, so that the frame before is read too?"""
+        return self.motion is not None and self.motion.points.endswith("next")
+
+    @property
     def other_files(self) -> tuple[str, ...]:
         """Files below the dump that are no images."""
         cameras = (image.camera for image in (self.normal, self.motion) if image)
