@@ -193,7 +193,9 @@ class TrainState:
             for name, ws in weights.items()
         }
         quantities = {"loss": loss.detach(), **norms}
-        values = torch.stack([value.float() for value in quantities.values()]).tolist()
+        # the norm of no gradients lies on the CPU
+        floats = [value.to(loss.device, torch.float32) for value in quantities.values()]
+        values = torch.stack(floats).tolist()
         for quantity, value in zip(quantities, values, strict=True):
             if not math.isfinite(value):
                 raise NonFiniteStepError(quantity, value, step, self._nonfinite_layers())
