@@ -14,18 +14,6 @@ from rlbench.ops.affinity import affinity_sum, cross_affinity_sum
 from rlbench.ops.init import kaiming_init
 from rlbench.ops.padding import crop, pad
 
-__all__ = [
-    "EMBEDDING",
-    "FEATURES",
-    "Encoder",
-    "KernelSizes",
-    "Kernels",
-    "Networks",
-    "PreviousFrame",
-    "UNet",
-    "apply_affinity_kernels",
-]
-
 GBUFFER_CHANNELS = 7  # normal, albedo, depth
 COLOUR_CHANNELS = 3
 EMBEDDING = 32  # channels of e_t and of its accumulated history

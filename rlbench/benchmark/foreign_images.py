@@ -50,16 +50,6 @@ from rlbench.run import FrameResult
 from rlbench.system import code_hash
 from rlbench.system.folder_lock import locked_folder
 
-__all__ = [
-    "Claim",
-    "ForeignClip",
-    "ForeignImagesError",
-    "ScoredClip",
-    "check_name",
-    "find_foreign_images",
-    "score_foreign_images",
-]
-
 COUNT_FILES = (".exr", ".npy")
 COUNTS = (("counts",), ("*",))
 EXCESS = 1e-3  # share of the budget that counts may exceed it by: rounding

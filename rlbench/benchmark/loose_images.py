@@ -22,8 +22,6 @@ from rlbench.clips.pfm import read_pfm
 from rlbench.errors import RlbenchError
 from rlbench.ops.color import decode_srgb
 
-__all__ = ["ENCODINGS", "LooseImageError", "read_gallery", "read_linear"]
-
 ENCODINGS = {
     ".exr": "EXR, linear radiance",
     ".pfm": "PFM, linear radiance",

@@ -22,8 +22,6 @@ from rlbench.frames import BUFFERS
 if TYPE_CHECKING:
     import pandas as pd
 
-__all__ = ["DisplayClip", "ShownClip", "ShownClips", "display_clips", "find_shown_clips"]
-
 
 @dataclass(frozen=True)
 class ShownImages:

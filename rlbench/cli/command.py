@@ -22,8 +22,6 @@ from rlbench.registry.near_names import suggest
 from rlbench.registry.plugin_code import exits_as_errors
 from rlbench.system.paths import FolderNotWritableError, WriteError, write_error, write_remedy
 
-__all__ = ["Command", "CommandGroup", "load_command", "what_is_kept"]
-
 SHORT_HELP = 8  # options that -h shows
 NEARLY_ALL = 11  # as many options are all shown
 HELP_ALL = "--help-all"

@@ -20,14 +20,6 @@ if TYPE_CHECKING:
     from rlbench.benchmark.runner import RunSummary
     from rlbench.training import Progress as TrainingProgress
 
-__all__ = [
-    "counting",
-    "measuring",
-    "print_outcome",
-    "training",
-    "training_status",
-]
-
 SPEED_PERIOD = 600.0  # seconds of progress from which the remaining time is estimated
 
 

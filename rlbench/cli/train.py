@@ -24,8 +24,6 @@ if TYPE_CHECKING:
     from rlbench.training.loop import TrainingRuns
     from rlbench.training.task import TrainingConfig
 
-__all__ = ["QUICK_FRAMES", "train", "training_runs"]
-
 QUEUE = "Queue"  # title of a group of options
 QUICK_FRAMES = 600
 DEFAULT_MIX = 0.5

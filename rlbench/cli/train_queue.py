@@ -23,8 +23,6 @@ from rlbench.training import queue
 from rlbench.training.queue import Entry, QueueError, RowStatus, Training
 from rlbench.training.run_folder import QUICK, run_folder
 
-__all__ = ["has_options", "run_command"]
-
 # options of the command that belong to the whole queue, or would do the same again in each call
 OF_THE_QUEUE = ("methods", "queue", "status", "pause", "out", "minutes", "restart", "help")
 LOG_WIDTH = 160  # columns of the status where it is not written to a terminal

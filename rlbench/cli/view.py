@@ -10,14 +10,10 @@ from typing import Annotated, Any
 import typer
 
 from rlbench.cli import options
-from rlbench.cli.arguments import parse_positive
 from rlbench.cli.methods import load_plugins
-from rlbench.cli.options import CLIPS, OUTPUT, file, flag, option
+from rlbench.cli.options import CLIPS, OUTPUT, file, flag, number, option
 from rlbench.cli.selection import find_images, read_rows
 from rlbench.errors import OptionError
-
-__all__ = ["describe_traits", "view"]
-
 
 OF_RESULTS = ("methods", "scenes", "clips", "spp", "plugin", "gbuffer_ms")
 
@@ -44,12 +40,7 @@ def view(
     ] = None,
     max_mb: Annotated[
         float,
-        option(
-            OUTPUT,
-            "largest size of the page; images are rounded until they fit",
-            value="MB",
-            parse=parse_positive,
-        ),
+        number(OUTPUT, "largest size of the page; images are rounded until they fit", "MB"),
     ] = 20.0,
     plugin: options.Plugins = None,
     gbuffer_ms: options.GbufferMs = None,

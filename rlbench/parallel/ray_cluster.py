@@ -14,17 +14,6 @@ from typing import Any
 from rlbench.parallel.executor import ExecutorError, TimeLimit
 from rlbench.system import provenance
 
-__all__ = [
-    "MAX_RETRIES",
-    "QUIET_ENVIRONMENT",
-    "ClusterLostError",
-    "ClusterWatch",
-    "import_ray",
-    "list_machines",
-    "start_ray",
-    "stop_ray",
-]
-
 MAX_RETRIES = 3  # of a job whose worker died
 QUIET_ENVIRONMENT = {
     "RAY_USAGE_STATS_ENABLED": "0",  # by default Ray reports usage statistics

@@ -57,8 +57,6 @@ from rlbench.registry import (
 from rlbench.registry.failure import keep_frames
 from rlbench.system import code_hash, provenance
 
-__all__ = ["EXECUTORS", "RayExecutor", "WorkerEnvironment", "open_executor"]
-
 EXECUTORS = ("local", "ray")
 LOOK_SECONDS = 2.0  # at most, between two looks at the machines of the cluster
 JOBS_PER_SLOT = 2  # submitted for each that can run, so that no worker waits for this process

@@ -17,31 +17,14 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from rlbench.clips.stored import (
-    DEFAULT_INPUTS,
-    InMemoryClip,
-    StoredClip,
-    open_clip,
-    sample_order,
-)
+from rlbench.clips.in_memory import InMemoryClip
+from rlbench.clips.stored import DEFAULT_INPUTS, StoredClip, open_clip, sample_order
 from rlbench.errors import RlbenchError
 from rlbench.family import Traits
 from rlbench.frames import Frame, GBuffer, Reference, Size, StoredPool
 from rlbench.ops.sanitize import sanitize_radiance
 from rlbench.sanitize import sanitize_frame
 from rlbench.training.task import TrainingConfig
-
-__all__ = [
-    "TRAINING_INPUTS",
-    "Augmentation",
-    "BatchError",
-    "Batches",
-    "ResidentClip",
-    "pool_slots",
-    "prefetch",
-    "sample_budget",
-    "sequence_budget",
-]
 
 TRAINING_INPUTS = frozenset({"albedo", "normal", "motion"})  # read for every method
 

@@ -25,19 +25,6 @@ from rlbench.training.task import TrainingError, TrainingTask
 if TYPE_CHECKING:
     from rlbench.training.train_state import TrainState
 
-__all__ = [
-    "CheckpointError",
-    "Progress",
-    "combine_digests",
-    "describe_changes",
-    "frames_in_weights",
-    "read",
-    "save_weights",
-    "select_prefix",
-    "start_from",
-    "write",
-]
-
 _logger = logging.getLogger(__name__)
 
 MAX_LISTED = 8  # clips in a message

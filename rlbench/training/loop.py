@@ -34,8 +34,6 @@ from rlbench.training.run_folder import CHECKPOINT, TrainingLogger, run_folder, 
 from rlbench.training.task import TrainingConfig, TrainingError, TrainingTask
 from rlbench.training.train_state import NonFiniteStepError, TrainState, ValidationResult
 
-__all__ = ["TrainingResult", "TrainingRuns", "archive_run", "train"]
-
 _logger = logging.getLogger(__name__)
 
 STATUS_SECONDS = 10.0  # between two writings of the status

@@ -26,20 +26,6 @@ if TYPE_CHECKING:
     from rlbench.training.checkpoint import Progress
     from rlbench.training.train_state import ValidationResult
 
-__all__ = [
-    "CHECKPOINT",
-    "LOG",
-    "QUICK",
-    "STATUS",
-    "RunState",
-    "TrainingLogger",
-    "find_weights",
-    "read_state",
-    "run_folder",
-    "tensorboard_hint",
-    "weights_path",
-]
-
 CHECKPOINT = "checkpoint.safetensors"
 LOG = "log.jsonl"  # one line per validation
 STATUS = "status.json"  # the present state

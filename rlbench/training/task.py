@@ -67,14 +67,6 @@ if TYPE_CHECKING:
     from rlbench.frames import Clip
     from rlbench.method import Method
 
-__all__ = [
-    "BUDGETS_FROM_0_05_SPP",
-    "BUDGETS_FROM_1_SPP",
-    "TrainingConfig",
-    "TrainingError",
-    "TrainingTask",
-]
-
 # training budgets in samples per pixel, for methods that need a sample in every pixel; repeated
 # values are drawn more often
 BUDGETS_FROM_1_SPP = (1.0, 1.0, 2.0, 2.0, 4.0, 4.0, 6.0)

@@ -22,16 +22,6 @@ from rlbench.run import run_clip
 from rlbench.training.checkpoint import select_prefix
 from rlbench.training.task import TrainingConfig, TrainingError, TrainingTask
 
-__all__ = [
-    "NonFiniteStepError",
-    "SetScore",
-    "TrainState",
-    "ValidationResult",
-    "validate",
-    "validation_budgets",
-    "warmed_up_ema",
-]
-
 DEFAULT_BUDGETS = (1.0, 4.0)  # of a validation, samples per pixel
 MAX_LAYERS_SHOWN = 3  # in an error message
 

@@ -23,8 +23,6 @@ from rlbench.training.batches import Batches
 from rlbench.training.task import TrainingConfig
 from rlbench.training.train_state import TrainState
 
-__all__ = ["fit", "score"]
-
 BUDGETS = (1.0, 4.0)  # samples per pixel, trained and scored
 ORDER_SEED = 77  # of the samples that are scored; training draws other orders
 INTERVAL = 50  # sequences between scores

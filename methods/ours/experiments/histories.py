@@ -162,13 +162,14 @@ class Histories:
         recent = moved.recent
         if self.config.two:
             recent = _blend_recent(recent, current, history, gbuffer)
-            more += [pu_forward(log_inverse(part) * exposure) for part in recent[:, :6].split(3, 1)]
+            more += [pu_forward(log_inverse(part) * exposure) for part in recent[:, :6].chunk(2, 1)]
         if self.config.first:
             behind = history.radiance.accumulated_spp
             more.append(behind / (behind + MANY))
         output = run_network(self.network, accumulated.mean * exposure, gbuffer, *more).float()
         denoised = log_forward(self.decode(output[:, :3], exposure))
-        old, mix = history.image, BLEND
+        old = history.image
+        mix: Tensor | float = BLEND
         if self.config.splat:
             old = splat_kernels((KERNEL_GAIN * output[:, 3 : 3 + TAPS]).softmax(1), old)
             mix = output[:, 3 + TAPS :].sigmoid()

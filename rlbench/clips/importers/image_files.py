@@ -16,19 +16,6 @@ from rlbench.clips.exr import DeepImageError, ExrHeader, read_exr_parts, read_pl
 from rlbench.clips.importers.limits import check_size
 from rlbench.clips.importers.sequence import Pixels, SourceError
 
-__all__ = [
-    "Channels",
-    "ExrImage",
-    "exr_size",
-    "find_channels",
-    "has_channels",
-    "list_channels",
-    "png_size",
-    "read_exr",
-    "read_exr_image",
-    "read_png",
-]
-
 COMPOSITE = "Composite."  # Blender's layer of the compositor, which is read only where it is named
 
 
