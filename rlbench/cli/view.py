@@ -48,7 +48,7 @@ def view(
         str, option(CLIPS, "layer of EXR images that have several, as Blender's", value="NAME")
     ] = "",
 ) -> None:
-    """Write one offline page to look at results or image files.
+    """Write one page to look at the results, or at image files; it needs no network.
 
     Decide, compare images in place, their layers, their course in time, and a table. Images are
     those of `rlbench run --keep-images`; without them the page has decision and table. Of image
@@ -80,8 +80,10 @@ def view(
         found, reason = find_images(results, rows, clips, spp)
         remarks = [f"the page has decision and table alone: {reason}"] if reason else []
         traits = {name: describe_traits(name) for name in sorted(set(rows["method"]))}
-        kept = list(found)
-        remarks += reports.viewer.write(rows, target, kept, traits, remarks, int(max_mb * 1e6))
+        found_clips = list(found)
+        remarks += reports.viewer.write(
+            rows, target, found_clips, traits, remarks, int(max_mb * 1e6)
+        )
     typer.echo(target)
     for remark in remarks:
         typer.echo(remark, err=True)
