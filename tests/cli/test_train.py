@@ -76,10 +76,6 @@ def test_numbers_that_train_nothing_are_refused(command, words, tmp_path):
     assert not (tmp_path / "runs").exists()
 
 
-def test_a_method_with_nothing_to_train_is_wrong_use():
-    assert "error: nothing to train: mean has" in rlbench("train", "-m", "mean", code=2)
-
-
 @pytest.mark.parametrize("name", ["oidn", "oidn/fast"])
 def test_training_a_row_with_published_weights_by_its_name_is_refused(name, tmp_path):
     output = rlbench("train", "-m", f"mean,{name}", "--out", tmp_path / "runs", code=2)
@@ -190,8 +186,3 @@ def test_restart_archives_the_old_run(calls, tmp_path):
     output = rlbench(*words, "--restart")
     assert f"oidn/retrained: the old run is now in {tmp_path}/oidn-retrained.old-1" in output
     assert (tmp_path / "oidn-retrained.old-1").is_dir()
-
-
-def test_crossval_refuses_a_scene_that_the_preset_lacks():
-    output = rlbench("crossval", "-m", "ntas", "--scenes", "attic", code=2)
-    assert "preset 'mini' has: city, temple, hall" in output
