@@ -27,6 +27,7 @@ def test_the_learning_rate_is_that_of_torchs_one_cycle():
         optimizer.step()
         scheduler.step() if len(expected) < 201 else None
     rates = [5e-5 * config.lr_factor(frames) for frames in range(201)]
+    assert (rates[0], rates[-1]) == pytest.approx((5e-5 / 25, 5e-5 * 1e-4))
     # torch turns at step 29.15 of 200, we at 30: the curves differ by less than one step
     assert max(abs(a - b) for a, b in zip(rates, expected, strict=True)) < 5e-5 * 0.06
 
@@ -39,11 +40,6 @@ def test_the_learning_rate_passes_the_points_of_the_fact_sheet(frames, rate):
     # three digits are given, of the authors' 200,000 steps up to 5e-5; they end lower than we do
     factor = TrainingConfig(frames=200_000).lr_factor(frames)
     assert 5e-5 * factor == pytest.approx(rate, rel=5e-3)
-
-
-@pytest.mark.parametrize(("frames", "factor"), [(0, 1 / 25), (200, 1e-4)])
-def test_the_learning_rate_starts_at_a_25th_and_ends_at_a_10000th_of_the_peak(frames, factor):
-    assert TrainingConfig(frames=200).lr_factor(frames) == pytest.approx(factor)
 
 
 def test_a_config_in_json_is_read_back():
