@@ -14,8 +14,6 @@ if TYPE_CHECKING:
 
     from rlbench.frames import GBuffer, Samples, Size
 
-__all__ = ["FAMILY", "Mean", "build"]
-
 TRAITS = Traits(receptive_field=0, spp_range=(0.0, 1024.0))  # as many as a clip can store
 
 FAMILY = Family(

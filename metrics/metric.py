@@ -13,8 +13,9 @@ from metrics.ground_truth import GroundTruth
 __all__ = ["Comparison", "Metric"]  # a plugin imports both from here
 
 Tensor = Any  # torch.Tensor; the first score imports torch, so that listing metrics is fast
-Score = Callable[..., Tensor]  # of a Comparison; of a convention too, with `takes_convention`
-ClipScore = Callable[[list[Comparison]], float]
+# of a Comparison, or of a list of them with `whole_clip`; of a convention too, with
+# `takes_convention`
+Score = Callable[..., Any]
 
 
 @dataclass(frozen=True)
@@ -44,7 +45,7 @@ class Metric:
     unit: str  # "dB", or empty for a plain number
     direction: str  # "higher" or "lower" is better; empty where neither is
     convention: str  # what is needed to reproduce the number: colour space, peak, window
-    score: Score | ClipScore
+    score: Score
     fit: Callable[[int, int], Metric] | None = None  # (height, width) to the metric at that size
     needs_reference_halves: bool = False  # undefined unless the halves are independent
     needs_reference: bool = True  # False: a score of the image or its samples alone
@@ -106,7 +107,7 @@ class Metric:
             self,
             name=f"{self.name}@{name}",
             convention=f"{convention.sentence}; else as {self.name}",
-            score=partial(self.score, convention=convention),  # type: ignore[call-arg]
+            score=partial(self.score, convention=convention),
             fit=partial(_fit_under, self.fit, name) if self.fit else None,
             scored_by_run=False,
         )

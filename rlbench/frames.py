@@ -124,6 +124,7 @@ class Frame:
     gbuffer: GBuffer
     pool: Pool
     reference: Reference
+    is_sanitized: bool = False  # all values are known to be valid, see rlbench.sanitize
 
 
 class Clip(Protocol):

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 import torch
 from jaxtyping import Float, Int
 from torch import Tensor
@@ -14,6 +16,7 @@ __all__ = ["BudgetError", "allocate_counts", "draw_pilot", "draw_samples"]
 
 BUDGET_TOLERANCE = 1e-3  # samples by which the sum of shares may miss the budget before rounding
 MAX_NEWTON_STEPS = 64  # for the multiplier k; 5 to 10 are usual
+CUDA_NEWTON_STEPS = 12  # between two looks whether they are done
 
 
 class BudgetError(RlbenchError, ValueError):
@@ -96,73 +99,97 @@ def allocate_counts(
     >>> allocate_counts(density, 6, zero, 8, (0,)).flatten().tolist()
     [0, 1, 2, 3]
     """
-    if not torch.isfinite(density).all():
+    images = density[:, 0].double()
+    high = torch.as_tensor(max_counts, device=min_counts.device).expand_as(min_counts)[:, 0]
+    low = min_counts[:, 0]
+    if (share := _equal_share(images, total_samples, low, high)) is not None:
+        return torch.full_like(min_counts, share)
+    density, low = _fill_first(images, total_samples, low, high)
+    shares = _water_fill(density / density.amax((1, 2), True), total_samples, low, high)
+    return _round_shares(shares, total_samples, high, rounding_seeds).unsqueeze(1)
+
+
+def _equal_share(density: Tensor, total_samples: int, low: Tensor, high: Tensor) -> int | None:
+    """The count of every pixel where density and budget give all the same whole one, else None.
+
+    Raises BudgetError as `allocate_counts` does. All that a GPU has to report comes in one message.
+    """
+    none_free = (low > high).any()
+    reported = (density.amin(), density.amax(), low.max(), high.min(), none_free)
+    sums = (low.sum((1, 2)).max(), high.sum((1, 2)).min())
+    smallest, largest, lowest, highest, contradict, least, most = torch.stack(
+        [value.double() for value in (*reported, *sums)]
+    ).tolist()
+    if not math.isfinite(smallest) or not math.isfinite(largest):
         raise BudgetError("density has values that are not finite; it must be finite and >= 0")
-    if (density < 0).any():
+    if smallest < 0:
+        raise BudgetError(f"density has negative values, down to {smallest:g}; it must be >= 0")
+    if not least <= total_samples <= most or contradict:
         raise BudgetError(
-            f"density has negative values, down to {float(density.min()):g}; it must be >= 0"
+            f"a budget of {total_samples} samples for {density[0].numel()} pixels does not fit: "
+            f"min_samples and earlier passes need {least:.0f}, max_samples and the pool allow "
+            f"{most:.0f}"
         )
-    limits = torch.as_tensor(max_counts, device=min_counts.device).expand_as(min_counts)
-    images = zip(
-        density[:, 0].double(), min_counts[:, 0], limits[:, 0], rounding_seeds, strict=True
-    )
-    return torch.stack([_allocate_image(*image, total_samples) for image in images]).unsqueeze(1)
+    share, rest = divmod(total_samples, density[0].numel())
+    return share if smallest == largest and not rest and lowest <= share <= highest else None
 
 
-def _allocate_image(
-    density: Tensor, low: Tensor, high: Tensor, seed: int, total_samples: int
-) -> Tensor:
-    """`allocate_counts` for one image [h w]."""
-    least, most = int(low.sum()), int(high.sum())
-    if not least <= total_samples <= most or bool((low > high).any()):
-        raise BudgetError(
-            f"a budget of {total_samples} samples for {density.numel()} pixels does not fit: "
-            f"min_samples and earlier passes need {least}, max_samples and the pool allow {most}"
-        )
+def _fill_first(
+    density: Tensor, total_samples: int, low: Tensor, high: Tensor
+) -> tuple[Tensor, Tensor]:
+    """Density and least counts [n h w], where the pixels that the density names cannot take all.
+
+    Without a positive value the density is uniform. Where all pixels with a positive density will
+    be full, they are filled, and the others share the rest evenly.
+    """
     positive = density > 0
-    if not positive.any():
-        density = torch.ones_like(density)
-    elif int(torch.where(positive, high, low).sum()) < total_samples:  # these pixels will be full
-        low = torch.where(positive, high, low)
-        density = (~positive).to(density.dtype)
-    shares = _water_fill(density / density.max(), total_samples, low, high)
-    return _round_shares(shares, total_samples, high, seed)
+    has_none = ~positive.flatten(1).any(1)[:, None, None]
+    room = torch.where(positive, high, low).sum((1, 2), keepdim=True)
+    are_full = ~has_none & (room < total_samples)
+    density = torch.where(are_full, (~positive).to(density.dtype), density)
+    return density.where(~has_none, 1.0), torch.where(are_full & positive, high, low)
 
 
 def _water_fill(density: Tensor, total_samples: int, low: Tensor, high: Tensor) -> Tensor:
-    """clip(k * density, low, high) with k such that it sums to `total_samples`.
+    """clip(k * density, low, high) with k of each image [h w] such that it sums to `total_samples`.
 
     The sum is piecewise linear and increases with k; k is found by Newton steps within a bracket.
-    The result sums to `total_samples` within 1e-3, or to less if the steps run out.
+    The result sums to `total_samples` within 1e-3, or to less if the steps run out. A GPU looks
+    only now and then whether the steps are done: a step costs it less than an answer.
     """
     low, high = low.double(), high.double()
-    best, below, above = low, 0.0, float("inf")  # shares and bracket of k
-    k = total_samples / float(density.sum())
-    for _ in range(MAX_NEWTON_STEPS):
+    best, k = low, total_samples / density.sum((1, 2), keepdim=True)
+    below, above = torch.zeros_like(k), torch.full_like(k, math.inf)  # bracket of k
+    done = torch.zeros_like(k, dtype=torch.bool)
+    interval = CUDA_NEWTON_STEPS if density.is_cuda else 1
+    for step in range(1, MAX_NEWTON_STEPS + 1):
         shares = torch.minimum(torch.maximum(density * k, low), high)
-        excess = float(shares.sum()) - total_samples
-        if excess <= BUDGET_TOLERANCE:
-            best, below = shares, k
-        else:
-            above = k
-        if abs(excess) <= BUDGET_TOLERANCE:
+        excess = shares.sum((1, 2), keepdim=True) - total_samples
+        fits = (excess <= BUDGET_TOLERANCE) & ~done
+        best = torch.where(fits, shares, best)
+        done |= excess.abs() <= BUDGET_TOLERANCE
+        if step % interval == 0 and bool(done.all()):
             break
-        slope = float(density[(shares > low) & (shares < high)].sum())
-        guess = k - excess / slope if slope > 0 else float("inf")
-        if not below < guess < above:
-            guess = 2 * k if above == float("inf") else (below + above) / 2
-        k = guess
+        below, above = torch.where(fits, k, below), torch.where(fits | done, above, k)
+        slope = density.where((shares > low) & (shares < high), 0.0).sum((1, 2), keepdim=True)
+        guess = torch.where(slope > 0, k - excess / slope, math.inf)
+        halved = torch.where(above == math.inf, 2 * k, (below + above) / 2)
+        guess = guess.where((below < guess) & (guess < above), halved)
+        k = torch.where(done, k, guess)
     return best
 
 
-def _round_shares(shares: Tensor, total_samples: int, high: Tensor, seed: int) -> Tensor:
+def _round_shares(
+    shares: Tensor, total_samples: int, high: Tensor, seeds: tuple[int, ...]
+) -> Tensor:
     """Whole counts that sum to `total_samples`: each share rounded down or up, at most `high`.
 
     What the shares lack of the total is first added in proportion to the room below `high`.
     """
     fixed = (shares * ONE_SHARE).long()
-    lacking = total_samples * ONE_SHARE - int(fixed.sum())
-    if abs(lacking) >= ONE_SHARE // 2:
-        room = high * ONE_SHARE - fixed
-        fixed += (room.double() * (lacking / float(room.sum()))).long()
-    return round_to_total(fixed, total_samples, seed)
+    lacking = total_samples * ONE_SHARE - fixed.sum((1, 2), keepdim=True)
+    room = high * ONE_SHARE - fixed
+    part = lacking.double() / room.sum((1, 2), keepdim=True).clamp_min(1)
+    is_far = lacking.abs() >= ONE_SHARE // 2
+    fixed = fixed + torch.where(is_far, (room.double() * part).long(), 0)
+    return round_to_total(fixed, total_samples, seeds)

@@ -46,6 +46,8 @@ def sanitize_frame(frame: Frame, inputs: frozenset[str]) -> FrameInput:
     >>> gbuffer.depth.tolist(), repairs["depth"]
     ([[[[1.0, 1.0, inf]]]], 2)
     """
+    if frame.is_sanitized:
+        return read_unsanitized(frame, inputs)
     repairs: Counter[str] = Counter()
     buffers = {}
     for name, buffer in frame.gbuffer.select(inputs).buffers.items():

@@ -11,7 +11,8 @@ import pytest
 import torch
 
 from rlbench import registry
-from rlbench.clips.stored import Header, write_frame, write_header
+from rlbench.clips.frame_files import write_frame
+from rlbench.clips.header import Header, write_header
 from rlbench.render.mitsuba.variant import wheel_files
 from rlbench.system import paths
 

@@ -9,7 +9,7 @@ import pytest
 import torch
 
 from rlbench import registry
-from rlbench.checks.stress.faults import plant_in_buffer, plant_in_samples
+from rlbench.checks.stress.bad_pixel import plant_in_buffer, plant_in_samples
 from rlbench.clips.in_memory import InMemoryClip
 from rlbench.clips.procedural.clip import procedural_clip
 from rlbench.frames import Size

@@ -14,8 +14,6 @@ from rlbench.ops.box_filter import box_mean
 from rlbench.ops.color import luminance
 from rlbench.ops.transfer import log_inverse
 
-__all__ = ["DENSITY_RULES", "contrast", "mix_with_uniform"]
-
 UNIFORM_SHARE = 0.5  # density that every pixel gets, where the rule's mean is 1
 MAX_DENSITY = 4.0  # times the rule's mean
 NEW_PIXELS = 0.9  # quantile of the rule that pixels without history get

@@ -36,21 +36,6 @@ from rlbench.ops.reprojection import reproject, reproject_bicubic
 from rlbench.ops.sanitize import repair_history
 from rlbench.ops.transfer import log_forward, log_inverse
 
-__all__ = [
-    "History",
-    "LightHistory",
-    "Memory",
-    "accumulate_frame",
-    "empty_memory",
-    "reproject_image",
-    "reproject_memory",
-    "share_by_spp",
-    "surface_weight",
-    "trust_by_rule",
-    "weigh_history",
-    "with_image",
-]
-
 TRUST = 0.8  # share of the old weight that is kept: alpha of 0.2 (Schied et al. 2017)
 MAX_CHANGE = 4.0  # of an image in log transfer, squared; a larger number is no change
 MAX_FEATURE = 1e4  # in magnitude; usual ones are below 100

@@ -37,8 +37,6 @@ from rlbench.ops.transfer import log_forward, log_inverse
 from rlbench.ops.unet import UNet
 from rlbench.weights import load_for_inference
 
-__all__ = ["VARIANTS", "Accumulate", "Config", "build"]
-
 CARDS = Path(__file__).parent / "cards"
 BLEND = 0.3  # weight of the previous image, times surface similarity
 CHANGE_RATE = 0.2  # weight of a frame in the mean change of the denoised image

@@ -20,8 +20,6 @@ from rlbench.run import unroll
 from rlbench.training.task import BUDGETS_FROM_0_05_SPP, TrainingTask
 from rlbench.wrappers import MethodWrapper
 
-__all__ = ["training_task"]
-
 
 @dataclass(frozen=True)
 class DetachedMemory(MethodWrapper[Accumulate]):

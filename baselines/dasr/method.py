@@ -21,8 +21,6 @@ from rlbench.ops.fireflies import mean_without_fireflies
 from rlbench.ops.transfer import squash_depth
 from rlbench.weights import load_for_inference
 
-__all__ = ["Dasr", "build", "to_radiance"]
-
 CARDS = Path(__file__).parent / "cards"
 MAX_RADIANCE = 1e5  # radiance is clamped to this
 ALBEDO_MEAN = 0.45

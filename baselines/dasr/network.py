@@ -12,8 +12,6 @@ from rlbench.ops.init import kaiming_init
 from rlbench.ops.padding import crop, pad
 from rlbench.ops.upsample import UpsampleConcatConv
 
-__all__ = ["Networks", "UNet"]
-
 INPUT_CHANNELS = 10  # colour, albedo, normal, depth
 ENCODER_WIDTHS = (32, 43, 57, 76, 101)  # of both convolutions of a level, fine to coarse
 DECODER_WIDTHS = ((76, 76), (57, 57), (43, 43), (32, 32), (128, 64))  # coarse to fine

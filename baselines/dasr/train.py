@@ -25,15 +25,6 @@ from rlbench.training import (
     kuznetsov_gradient,
 )
 
-__all__ = [
-    "draw_gamma_mean",
-    "laplacian_of_gaussian",
-    "redraw_as_gamma",
-    "relative_loss",
-    "sample_variance",
-    "training_task",
-]
-
 LR_MULTIPLIERS = {"sampler": 0.2}  # learning rate 1e-4
 STAGES = (  # end of each stage as a fraction of the training, and the networks that it trains
     (25 / 70, frozenset({"denoiser"})),

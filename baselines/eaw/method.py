@@ -23,8 +23,6 @@ from rlbench.ops.sanitize import repair_history, sanitize_radiance
 from rlbench.ops.stencils import atrous_taps
 from rlbench.ops.transfer import HALF_MAX
 
-__all__ = ["Config", "Eaw", "Still", "StillPixels", "atrous_pass", "build", "filter_irradiance"]
-
 NO_SURFACE = 1e4  # log depth of pixels without a surface: weights to them are exactly 0
 ALIGNMENT = 64  # elements: torch sums and exponentiates the last few of others in another way
 LOG2E = 1 / math.log(2)  # exp(x) = 2^(LOG2E x)

@@ -13,8 +13,6 @@ from rlbench.clips.in_memory import InMemoryClip
 from rlbench.clips.stored import StoredClip, open_clip
 from rlbench.run import run_clip
 
-__all__ = ["GRID", "search"]
-
 BUDGETS = (1.0, 4.0)  # samples per pixel
 GRID = [
     Config(phi_color=light, phi_normal=normal, phi_depth=depth)

@@ -27,8 +27,6 @@ from rlbench.ops.demodulation import demodulation_albedo, filtered_albedo
 from rlbench.ops.fireflies import limit_fireflies
 from rlbench.weights import load_for_inference
 
-__all__ = ["VARIANTS", "Config", "Imcd", "build"]
-
 CARDS = Path(__file__).parent / "cards"
 CHANNELS = (EMBEDDING, FEATURES)  # of the state's features: accumulated, and of the last pass
 

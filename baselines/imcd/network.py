@@ -14,18 +14,6 @@ from rlbench.ops.affinity import affinity_sum, cross_affinity_sum
 from rlbench.ops.init import kaiming_init
 from rlbench.ops.padding import crop, pad
 
-__all__ = [
-    "EMBEDDING",
-    "FEATURES",
-    "Encoder",
-    "KernelSizes",
-    "Kernels",
-    "Networks",
-    "PreviousFrame",
-    "UNet",
-    "apply_affinity_kernels",
-]
-
 GBUFFER_CHANNELS = 7  # normal, albedo, depth
 COLOUR_CHANNELS = 3
 EMBEDDING = 32  # channels of e_t and of its accumulated history
@@ -106,7 +94,7 @@ class Encoder(nn.Module):
         """The mean embedding e_t, computed slot by slot so that memory does not grow with slots."""
         total = gbuffer.new_zeros(gbuffer.shape[0], EMBEDDING, *gbuffer.shape[2:])
         for colour, valid in zip(colours.unbind(1), valid_mask.unbind(1), strict=True):
-            if valid.any():
+            if valid.is_cuda or valid.any():  # a GPU adds zeros faster than it answers
                 total = total + self.embed(torch.cat((colour, gbuffer), 1)).float() * valid
         return total / valid_mask.sum(1).clamp_min(1)
 

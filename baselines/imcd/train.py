@@ -20,14 +20,6 @@ from rlbench.run import unroll
 from rlbench.training.task import BUDGETS_FROM_1_SPP, TrainingTask
 from rlbench.wrappers import MethodWrapper
 
-__all__ = [
-    "SharpnessRecorder",
-    "image_and_change_losses",
-    "losses",
-    "sharpness_penalty",
-    "training_task",
-]
-
 TEMPORAL_WEIGHT = 0.25  # of the error of the change from the previous frame
 SHARPNESS_WEIGHT = 1e-5  # of the mean squared sharpness
 

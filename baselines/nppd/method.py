@@ -10,9 +10,9 @@ from jaxtyping import Float
 from torch import Tensor
 
 from baselines.accumulate.memory import LightHistory, with_image
+from baselines.imcd.network import EMBEDDING
 from baselines.nppd import FAMILY
 from baselines.nppd.network import (
-    EMBEDDING,
     LARGE_WIDTHS,
     STRIDE,
     WIDTHS,
@@ -26,8 +26,6 @@ from rlbench.ops.demodulation import demodulation_albedo, filtered_albedo
 from rlbench.ops.fireflies import limit_fireflies
 from rlbench.ops.padding import crop, pad
 from rlbench.weights import load_for_inference
-
-__all__ = ["VARIANTS", "Config", "Nppd", "build"]
 
 CARDS = Path(__file__).parent / "cards"
 MEAN_OFFSET = 1e-8  # added to the mean irradiance before division

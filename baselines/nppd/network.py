@@ -16,18 +16,6 @@ from rlbench.ops.kernels import splat_kernels
 from rlbench.ops.memory_format import to_channels_last, to_contiguous_float32
 from rlbench.ops.upsample import UpsampleConcatConv
 
-__all__ = [
-    "EMBEDDING",
-    "LARGE_WIDTHS",
-    "STRIDE",
-    "WIDTHS",
-    "Encoder",
-    "FilterWeights",
-    "Networks",
-    "WeightUNet",
-    "apply_partitioning_pyramid",
-]
-
 Widths = tuple[tuple[int, ...], ...]  # channels of the convolutions of each level, fine to coarse
 
 LEVELS = 5  # K of the paper: full resolution to 1/16

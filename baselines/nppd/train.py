@@ -22,8 +22,6 @@ from rlbench.run import unroll
 from rlbench.training import BUDGETS_FROM_1_SPP, TrainingTask
 from rlbench.wrappers import MethodWrapper
 
-__all__ = ["FramePairs", "losses", "training_task"]
-
 BUDGETS = (0.25, 0.5, *BUDGETS_FROM_1_SPP)  # spp, one drawn for each sequence
 FIRST_WEIGHT = 8.0  # of the error of a first frame
 SPATIAL_WEIGHT = 2.0  # of the error of both frames of a pair

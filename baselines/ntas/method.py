@@ -34,8 +34,6 @@ from rlbench.ops.reprojection import ReprojectionMemo, reproject
 from rlbench.ops.transfer import log_forward, squash_depth
 from rlbench.weights import load_for_inference
 
-__all__ = ["VARIANTS", "Config", "Ntas", "State", "build"]
-
 CARDS = Path(__file__).parent / "cards"
 NO_HISTORY = -1.0  # network input where the history has no weight
 

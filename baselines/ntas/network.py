@@ -18,8 +18,6 @@ from rlbench.ops.transfer import HALF_MAX, LOG_SCALE, log_inverse
 from rlbench.ops.unet import STRIDE, FeatureUNet, UNet
 from rlbench.ops.unet_widths import BASE_WIDTHS
 
-__all__ = ["Denoiser", "DirectDenoiser", "Networks", "Sampler"]
-
 GBUFFER_CHANNELS = 7  # normal, albedo, depth
 COLOUR_CHANNELS = 3
 TAPS = 25  # 5 x 5

@@ -18,8 +18,6 @@ from rlbench.ops.transfer import log_forward
 from rlbench.run import unroll
 from rlbench.training import BUDGETS_FROM_1_SPP, SurrogateGradient, TrainingTask
 
-__all__ = ["training_task"]
-
 CHANGE_WEIGHT = 1.0  # of the error of the change from the previous frame
 LR_MULTIPLIERS = {"sampler": 0.2}  # learning rate 1e-4
 

@@ -39,8 +39,6 @@ from rlbench.run import unroll
 from rlbench.training import BUDGETS_FROM_1_SPP, SurrogateGradient, TrainingTask
 from rlbench.weights import load_for_inference
 
-__all__ = ["EqualStart", "LastImage", "Networks", "build", "training_task"]
-
 LR_MULTIPLIERS = {"sampler": 2.5}  # learning rate 1e-4, as in `ntas` and `dasr`
 
 

@@ -22,21 +22,6 @@ from rlbench.ops.unet import STRIDE, UNet
 from rlbench.ops.unet_widths import BASE_WIDTHS, FAST_WIDTHS, UNetWidths
 from rlbench.weights import load_for_inference, load_into
 
-__all__ = [
-    "INPUT_CHANNELS",
-    "VARIANTS",
-    "Config",
-    "Oidn",
-    "build",
-    "encode_inputs",
-    "published_network",
-    "run_network",
-    "tuned_network",
-    "to_radiance",
-    "to_signed_radiance",
-    "widen",
-]
-
 CARDS = Path(__file__).parent / "cards"
 INPUT_CHANNELS = 9  # colour, albedo, normal
 MIN_RADIANCE = -0.5 / LOG_SCALE  # while training; log transfer is defined above twice this

@@ -25,8 +25,6 @@ from rlbench.ops.fireflies import limit_fireflies
 from rlbench.ops.padding import pad
 from rlbench.wrappers import MethodWrapper
 
-__all__ = ["FilledHoles", "HalfResolution", "upsample_jointly"]
-
 NEAR, FAR = 0.75, 0.25  # bilinear weights of the two coarse pixels next to a fine one, each axis
 MIN_SIMILARITY = 1e-3  # added to all, so that a pixel unlike its neighbours gets their plain mean
 

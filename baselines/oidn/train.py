@@ -18,8 +18,6 @@ from rlbench.ops.unet import UNet
 from rlbench.run import unroll
 from rlbench.training.task import BUDGETS_FROM_1_SPP, TrainingTask
 
-__all__ = ["fine_tuning_task", "training_task"]
-
 MAX_LR = 1e-3
 FINE_TUNING_MAX_LR = 4e-5  # for training that starts from Intel's weights
 

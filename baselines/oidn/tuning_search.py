@@ -22,8 +22,6 @@ from rlbench.run import unroll
 from rlbench.training.task import TrainingTask
 from rlbench.weights import load_for_inference
 
-__all__ = ["FAMILY", "build", "training_task"]
-
 RATES = {"1e-5": 1e-5, "2e-5": 2e-5, "4e-5": 4e-5, "8e-5": 8e-5, "16e-5": 16e-5}
 LOSSES = ("pu", "log")  # transfer in which images are compared: OIDN's, or that of `ours`
 

@@ -27,8 +27,6 @@ from rlbench.errors import RlbenchError
 from rlbench.ops.unet import UNet
 from rlbench.weights import WeightsError, load_into, read_card
 
-__all__ = ["Array", "TzaError", "decode", "encode", "export"]
-
 MAGIC, VERSION = 0x41D7, (2, 0)
 HEADER = struct.Struct("<HBBQ")  # magic, major and minor version, offset of the table
 ALIGNMENT = 64  # bytes

@@ -25,8 +25,6 @@ from rlbench.ops.unet import UNet
 from rlbench.ops.unet_widths import BASE_WIDTHS, FAST_WIDTHS, UNetWidths
 from rlbench.weights import ModelCard, save
 
-__all__ = ["extract", "load_network", "main", "read_library_networks"]
-
 COMMAND = "python -m baselines.oidn_intel.extract baselines/oidn/cards"
 NOTE = "Intel's values, copied from the library's TZA format to safetensors; not trained here"
 QUALITIES = {

@@ -21,17 +21,6 @@ from rlbench.family import Traits
 from rlbench.frames import GBuffer, Samples, Size
 from rlbench.ops.fireflies import mean_without_fireflies
 
-__all__ = [
-    "VARIANTS",
-    "Config",
-    "Filter",
-    "FilterSettings",
-    "LibraryError",
-    "OidnIntel",
-    "build",
-    "library_version",
-]
-
 IMAGES = ("color", "albedo", "normal", "output")
 
 

@@ -42,8 +42,6 @@ from baselines.restir.reservoir import (
 from baselines.restir.surface import Surface, trace_indirect
 from rlbench.pools import RenderContext
 
-__all__ = ["BIASED", "PLAIN", "UNBIASED", "Config", "Restir", "biased", "unbiased"]
-
 # purposes of random numbers; spatial passes follow from SPATIAL on
 INITIAL, TEMPORAL, SPATIAL, INDIRECT = 0, 1, 2, 7
 MAX_CHAINS = 2**16  # distance between the random number streams of a chain's passes

@@ -12,8 +12,6 @@ from baselines.restir import DENOISED, FAMILY
 from rlbench.ops.unet import UNet
 from rlbench.weights import load_for_inference
 
-__all__ = ["build", "build_denoised"]
-
 CARDS = Path(__file__).parent / "cards"
 
 

@@ -9,8 +9,6 @@ from typing import Any
 
 from baselines.restir.surface import Surface, finite_luminance
 
-__all__ = ["History", "Reservoir", "ReservoirStream", "ReuseSource", "combine_reservoirs"]
-
 MAX_DEPTH_DIFFERENCE = 0.1  # relative, between surfaces that share reservoirs
 MIN_NORMAL_COSINE = math.cos(math.radians(25))
 

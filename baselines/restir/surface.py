@@ -13,8 +13,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Any
 
-__all__ = ["Surface", "finite_luminance", "trace_indirect"]
-
 
 @dataclass(frozen=True)
 class Surface:

@@ -10,8 +10,6 @@ from baselines.restir import DENOISED
 from rlbench.ops.unet import UNet
 from rlbench.training import TrainingTask
 
-__all__ = ["training_task"]
-
 
 def training_task(variant: str, device: torch.device, seed: int) -> TrainingTask:
     """Intel's U-Net, fine-tuned on samples of the ReSTIR pool as `oidn/tuned` is on paths.

@@ -11,15 +11,6 @@ from torch import Tensor
 from rlbench.ops.color import REC709_LUMINANCE
 from rlbench.ops.padded_rows import PaddedRows
 
-__all__ = [
-    "History",
-    "TemporalMoments",
-    "accumulate",
-    "empty_history",
-    "luminance",
-    "reproject_history",
-]
-
 MAX_DEPTH_DIFFERENCE = 0.1  # relative, between two views of one surface (RTXDI, Q2RTX)
 MIN_NORMAL_COSINE = 0.9  # between its normals (ours, after ReSTIR's tests)
 MIN_WEIGHT = 0.01  # total weight below which the bilinear taps are rejected (Falcor)

@@ -29,17 +29,6 @@ from rlbench.ops.padded_rows import PaddedRows
 from rlbench.ops.sanitize import sanitize_radiance
 from rlbench.ops.stencils import Tap, atrous_taps, box_taps
 
-__all__ = [
-    "VARIANTS",
-    "Config",
-    "Edges",
-    "Svgf",
-    "atrous_filter",
-    "atrous_pass",
-    "build",
-    "depth_gradient",
-]
-
 MIN_HISTORY_LENGTH = 4.0  # frames; the variance of a shorter history is estimated spatially
 VARIANCE_RADIUS = 3  # of the window of that estimate, pixels
 MIN_RELATIVE_GRADIENT = 1e-4  # lower bound of the depth gradient, per pixel, times depth

@@ -26,16 +26,6 @@ from rlbench.ops.exposure import autoexposure
 from rlbench.ops.kernels import apply_kernels
 from rlbench.ops.transfer import log_forward, log_inverse
 
-__all__ = [
-    "Accumulator",
-    "FrameRadiance",
-    "RuleRadiance",
-    "SampledFrame",
-    "StateOnly",
-    "TemporalRadiance",
-    "hold_static",
-]
-
 Denoiser = Callable[[Float[Tensor, "n c h w"]], Float[Tensor, "n c2 h w"]]
 
 

@@ -24,17 +24,6 @@ from rlbench.ops.reprojection import reproject
 from rlbench.ops.sanitize import repair_history
 from rlbench.ops.transfer import log_forward
 
-__all__ = [
-    "DenoisedFrame",
-    "FeatureHistory",
-    "RadianceHistory",
-    "RecurrentState",
-    "ReprojectedHistory",
-    "detach",
-    "gbuffer_features",
-    "network_features",
-]
-
 MANY_SPP = 16.0  # accumulated samples that networks read as 1/2
 MIN_SPP = 0.01  # a previous budget below this is read as this
 MAX_FEATURE = 4.0  # latents lie in [-1, 1]; encoded samples reach 3.7 at radiance 65504

@@ -21,8 +21,6 @@ from methods.ours.networks import (
 from rlbench.ops.init import kaiming_init
 from rlbench.ops.unet_widths import BASE_WIDTHS, FAST_WIDTHS
 
-__all__ = ["initialize", "wire_contrast"]
-
 RANDOM_SHARE = 0.1  # factor on the random weights that are left beside wired ones
 TANH_LINEAR = 0.5  # up to here tanh is nearly linear
 

@@ -40,8 +40,6 @@ from rlbench.ops.padding import crop, pad
 from rlbench.ops.reprojection import ReprojectionMemo
 from rlbench.weights import load_for_inference
 
-__all__ = ["CARDS", "DENSITIES", "Ours", "assemble", "build", "build_config", "linear_density"]
-
 CARDS = Path(__file__).parent / "cards"
 MULTIPLE = 16  # pixels; the denoiser halves the image four times
 LOG_RANGE = 1.5  # logarithm of the exponential density of action 1; action 0 has density 1

@@ -17,16 +17,6 @@ from rlbench.ops.memory_format import to_channels_last
 from rlbench.ops.transfer import log_forward
 from rlbench.ops.unet import UNet
 
-__all__ = [
-    "MISSING",
-    "SAMPLE_ENCODINGS",
-    "Encoder",
-    "Networks",
-    "SampleEncoding",
-    "Sampler",
-    "history_features",
-]
-
 MISSING = -1.0  # marks an empty sample slot, or a state without valid history
 GBUFFER_CHANNELS = 7  # normal 3, albedo 3, depth 1
 DENOISER_INPUTS = 9  # of Open Image Denoise: colour 3, albedo 3, normal 3

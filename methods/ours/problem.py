@@ -25,16 +25,6 @@ from rlbench.sanitize import SanitizedPool, sanitize_frame
 from rlbench.training.batches import Batches, sample_budget
 from rlbench.training.surrogate_gradient import SampleGradient, relaxed_counts
 
-__all__ = [
-    "EpisodeProblem",
-    "FrameProblem",
-    "FrameStep",
-    "SamplingEnv",
-    "carry_back",
-    "discounted_return",
-    "reward",
-]
-
 HIGHEST_REWARD = 10.0
 
 

@@ -30,8 +30,6 @@ from rlbench.run import FrameResult, unroll
 from rlbench.training.task import BUDGETS_FROM_0_05_SPP, TrainingTask
 from rlbench.wrappers import MethodWrapper
 
-__all__ = ["ActingMethod", "ExploringMethod", "config_task", "training_task"]
-
 MAX_LR = 3e-4  # from random weights
 LR_MULTIPLIERS = {"encoder": 0.2, "sampler": 3.0}  # at 1.0 the encoder's tanh saturates
 FINETUNING_MULTIPLIERS = {"encoder": 2.0, "sampler": 6.0, "auxiliary_network": 25.0}

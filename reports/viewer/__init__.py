@@ -1,5 +1,5 @@
-"""One page to look at the results: decide, flip, layers, time, table. It needs no network."""
+"""One page to look at the results, or at images: flip, layers, time, decide, table; no network."""
 
-from reports.viewer.page import write
+from reports.viewer.page import write, write_gallery
 
-__all__ = ["write"]
+__all__ = ["write", "write_gallery"]

@@ -33,6 +33,7 @@ ASSETS = files("reports.viewer") / "assets"
 # vik: Crameri 2018; blue below zero, red above, as in RdBu of Harrower and Brewer 2003
 COLOUR_MAPS = {"error": "magma", "counts": "viridis", "depth": "cividis", "signed": "RdBu_r"}
 FEW_BYTES = 2000  # for what is not counted
+TITLE_NAMES = 4  # of images, in the title of a page
 
 
 def write(
@@ -54,7 +55,7 @@ def write(
         check_comparable(rows)
     chosen, left_out = _select_methods(clips, results)
     data = {
-        "title": describe_clips(results),
+        **_data_of_every_page(describe_clips(results), [*remarks, *left_out]),
         "devices": [
             {"name": name, "decide": decision_data(rows, name), "table": table_data(rows, name)}
             for name, rows in devices.items()
@@ -65,16 +66,42 @@ def write(
         "frames": frame_scores(results, [clip.name for clip in chosen]),
         "provenance": provenance(results),
         "traits": traits or {},
-        "remarks": [*remarks, *left_out],
-        "maps": {name: _colours(name) for name in COLOUR_MAPS.values()},
-        "map_of": COLOUR_MAPS,
         "looks": _looks(results),
     }
+    _write_page(data, chosen, file, max_bytes)
+    return left_out
+
+
+def write_gallery(
+    images: ShownClip, file: Path, remarks: Sequence[str] = (), max_bytes: int = 20_000_000
+) -> None:
+    """Write the page `file` with images alone, without results, references and budgets.
+
+    Raises PicturesError if the images do not fit into `max_bytes`.
+    """
+    names = [each.method for each in images.images]
+    more = f" and {len(names) - TITLE_NAMES} more" * (len(names) > TITLE_NAMES)
+    data = _data_of_every_page(", ".join(names[:TITLE_NAMES]) + more, remarks)
+    _write_page(data, [images], file, max_bytes)
+
+
+def _data_of_every_page(title: str, remarks: Sequence[str]) -> dict[str, Any]:
+    return {
+        "title": title,
+        "devices": [],  # a page without results
+        "remarks": list(remarks),
+        "maps": {name: _colours(name) for name in COLOUR_MAPS.values()},
+        "map_of": COLOUR_MAPS,
+    }
+
+
+def _write_page(
+    data: Mapping[str, Any], clips: Sequence[ShownClip], file: Path, max_bytes: int
+) -> None:
     frame = _render(data, [], math.nan)
-    texts, error = pack_clips(chosen, max_bytes - len(frame.encode()) - FEW_BYTES)
+    texts, error = pack_clips(clips, max_bytes - len(frame.encode()) - FEW_BYTES)
     with finished_file(file) as temporary:
         temporary.write_text(_render(data, texts, error), encoding="utf-8")
-    return left_out
 
 
 def _select_methods(

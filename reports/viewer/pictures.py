@@ -40,9 +40,7 @@ def pack_clips(clips: Sequence[ShownClip], max_bytes: int) -> tuple[list[str], f
         return [], 0.0
 
     def fits_roughly(steps: int) -> bool:
-        size = sum(
-            len(clip.reference) * len(_pack_clip(clip, LogScale(steps), True)) for clip in clips
-        )
+        size = sum(_length(clip) * len(_pack_clip(clip, LogScale(steps), True)) for clip in clips)
         return size * (1 + MARGIN) <= max_bytes
 
     first = min(bisect_left(STEPS, True, key=fits_roughly), len(STEPS) - 1)
@@ -55,13 +53,14 @@ def pack_clips(clips: Sequence[ShownClip], max_bytes: int) -> tuple[list[str], f
             return texts, scale.relative_error
     raise PicturesError(
         f"the images need {size / 1e6:.3g} MB, and {max_bytes / 1e6:.3g} MB are left for them. "
-        "Show fewer with --methods, --scenes or --spp, or allow a larger page with --max-mb"
+        "Show fewer, of results with --methods, --scenes or --spp, or allow a larger page with "
+        "--max-mb"
     )
 
 
 def _pack_clip(clip: ShownClip, scale: LogScale, middle_only: bool = False) -> str:
     """A clip as JSON text; `middle_only`: with its middle frame alone, to estimate its size."""
-    length, _, height, width = clip.reference.shape
+    length, (height, width) = _length(clip), clip.reference.shape[2:]
     part = slice(length // 2, length // 2 + 1) if middle_only else slice(None)
     document = {
         "name": clip.name,
@@ -88,3 +87,8 @@ def _pack_clip(clip: ShownClip, scale: LogScale, middle_only: bool = False) -> s
         ],
     }
     return json.dumps(document, separators=(",", ":"))
+
+
+def _length(clip: ShownClip) -> int:
+    """Number of frames."""
+    return max(len(each.frames) for each in clip.images)

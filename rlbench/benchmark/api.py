@@ -41,17 +41,6 @@ from rlbench.weights import read_card
 if TYPE_CHECKING:
     import pandas as pd
 
-__all__ = [
-    "check_precision",
-    "check_run",
-    "plan_run",
-    "render_clips",
-    "report",
-    "run",
-    "select_clips",
-    "select_device",
-]
-
 RESULTS = Path("results")
 
 

@@ -14,8 +14,6 @@ from pathlib import Path
 
 from rlbench.scenes.collection.catalog import CREDITS, load_catalog
 
-__all__ = ["CacheEntry", "find_entries", "find_unknown", "remove_entry"]
-
 CLIP_FILES = ("*.exr", "rounds.*.txt", "pool.*.txt", "clip.toml", "scene.txt")
 DECODED = re.compile(r"[0-9a-f]{32}-[0-9a-f]{8}")
 REMADE = {  # kind: what makes it again

@@ -32,25 +32,11 @@ from rlbench.errors import RlbenchError
 from rlbench.run import FrameResult
 from rlbench.system import documents, paths
 
-__all__ = [
-    "CellImages",
-    "KeptCell",
-    "KeptFrame",
-    "KeptImages",
-    "KeptImagesError",
-    "drop_images",
-    "find_all_images",
-    "find_images",
-    "find_kept_cells",
-    "image_pools",
-    "list_images",
-    "write_images",
-]
-
 FOLDER = "images"  # in a results folder
 RECORD = "cell.json"
 SCHEMA = 1  # of the record and of the channels
 CHANNELS = ("R", "G", "B", "counts")
+OF_CLIP = ("pool", "clip_digest", "max_samples")  # keys of the record
 HALF_MAX = 65504.0  # largest half float; brighter finite values are stored as this
 MAX_NAMED = 6  # cells in a message
 
@@ -85,10 +71,13 @@ class CellImages:
 
 
 @dataclass(frozen=True)
-class _Record:
-    """What cell.json says of a folder of images."""
+class KeptImages:
+    """A folder with the images of a cell; frames are read when they are asked for.
 
-    schema: int
+    But for the folder, the fields are those of cell.json.
+    """
+
+    folder: Path
     key: CellKey
     content_hash: str
     pool: str
@@ -96,17 +85,10 @@ class _Record:
     max_samples: int
     checksums: tuple[str, ...]  # SHA-256 of 0000.exr, 0001.exr, ...
 
-
-@dataclass(frozen=True)
-class KeptImages:
-    """A folder with the images of a cell; frames are read when they are asked for."""
-
-    folder: Path
-    cell: CellId  # without the hash of its times
-    pool: str
-    clip_digest: str
-    max_samples: int
-    checksums: tuple[str, ...]
+    @property
+    def cell(self) -> CellId:
+        """The cell, without the hash of its times."""
+        return CellId(self.key, self.content_hash)
 
     def __len__(self) -> int:
         """Number of frames."""
@@ -148,10 +130,10 @@ def write_images(results: Path, cell: CellId, images: CellImages) -> Path:
     shutil.rmtree(unfinished, ignore_errors=True)  # that a killed run left
     try:
         checksums = tuple(_write_frame(unfinished, *each) for each in enumerate(images.frames))
-        shared = images.pool, images.clip_digest, images.max_samples
-        record = _Record(SCHEMA, cell.key, cell.content_hash, *shared, checksums)
+        identity = {"schema": SCHEMA, **asdict(cell.untimed), "checksums": checksums}
+        record = identity | {name: getattr(images, name) for name in OF_CLIP}
         with paths.atomic_write(unfinished / RECORD) as temporary:
-            temporary.write_text(json.dumps(asdict(record), indent=1))
+            temporary.write_text(json.dumps(record, indent=1))
         drop_images(results, cell)
         paths.publish_folder(unfinished, folder)
     finally:
@@ -197,15 +179,12 @@ def _read_record(folder: Path) -> KeptImages:
         document = documents.read_json(file)
         if document["schema"] != SCHEMA:
             raise ValueError(f"it has schema {document['schema']}, this version reads {SCHEMA}")
-        record = documents.decode(document, _Record)
+        return documents.decode({**document, "folder": folder}, KeptImages)
     except (OSError, ValueError, KeyError, TypeError) as error:
         raise KeptImagesError(
             f"{file} cannot be used: {error}. Delete {folder} and repeat `rlbench run "
             "--keep-images`, or update rlbench"
         ) from error
-    cell = CellId(record.key, record.content_hash)
-    shared = record.pool, record.clip_digest, record.max_samples
-    return KeptImages(folder, cell, *shared, record.checksums)
 
 
 def find_all_images(

@@ -15,8 +15,6 @@ from typing import Any
 
 from rlbench.errors import RlbenchError
 
-__all__ = ["CellId", "CellKey", "CellsError", "check_no_overwrite", "superseded_cells"]
-
 FAILED = "failed"  # content hash of a cell that an error stopped; equal to no other
 MAX_STEM_LENGTH = 150  # characters of a file name before its digest; file systems allow 255
 

@@ -12,21 +12,14 @@ from pathlib import Path
 
 import torch
 
+from rlbench.clips.header import Header, read_header
 from rlbench.clips.in_memory import ClipWrapper
-from rlbench.clips.stored import Header, open_clip, read_header
+from rlbench.clips.stored import open_clip
 from rlbench.family import Traits
 from rlbench.frames import Clip, Frame
 from rlbench.render.jobs.live_pool import open_live_clip, scene_of_folder
 from rlbench.render.mitsuba.variant import select_variant
 from rlbench.system import code_hash, provenance
-
-__all__ = [
-    "FirstFrames",
-    "StoredSource",
-    "max_samples_needed",
-    "open_source",
-    "samples_at_cap",
-]
 
 POOLS = ("stored", "live")  # samples read from the clip's files, or traced when drawn
 

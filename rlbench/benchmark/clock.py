@@ -27,18 +27,6 @@ from rlbench.method import Method, State
 from rlbench.sanitize import FrameInput, sanitize_frame
 from rlbench.wrappers import MethodWrapper
 
-__all__ = [
-    "Calibration",
-    "Calibrator",
-    "FrameTime",
-    "Stopwatch",
-    "SystemClock",
-    "TimedMethod",
-    "load_average",
-    "make_kernel",
-    "timed_reader",
-]
-
 SETTLE_SECONDS = 0.01  # idle threads of TBB look for work for 1 to 5 ms
 SCHEDULER = Path("/proc/self/task")  # a folder for each thread, with its schedstat
 SLOWDOWN = 1.25  # times a quiet calibration; beyond it the machine is busy

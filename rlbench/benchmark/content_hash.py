@@ -19,8 +19,6 @@ from rlbench.benchmark.run_plan import Cell, RunPlan, list_cells, weights_file
 from rlbench.clips.header import ClipError, Header
 from rlbench.system import code_hash, provenance
 
-__all__ = ["CellIds", "header_facts", "scoring_content"]
-
 SCORING = ("rlbench.benchmark.scoring",)  # images to numbers
 TIMING = (
     "rlbench.benchmark.clock",

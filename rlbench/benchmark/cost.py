@@ -21,22 +21,7 @@ from rlbench.registry.near_names import suggest
 from rlbench.system import code_hash, documents, paths, provenance
 
 if TYPE_CHECKING:
-    from rlbench.clips.stored import Header
-
-__all__ = [
-    "Cost",
-    "CostError",
-    "CostProfile",
-    "ProfileTime",
-    "Scatter",
-    "measured",
-    "profile",
-    "profiles",
-    "published",
-    "tracing",
-    "with_gbuffer",
-    "write_profile",
-]
+    from rlbench.clips.header import Header
 
 MEASURED = "measured"  # the name of no profile: times of this machine
 PROFILES = Path(__file__).parent / "profiles"

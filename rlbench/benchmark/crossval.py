@@ -21,8 +21,6 @@ from rlbench.training import dataset
 from rlbench.training.dataset import TrainingSplit
 from rlbench.training.loop import TrainingRuns
 
-__all__ = ["Fold", "crossval", "folds", "row_names", "variant_to_train"]
-
 ProgressBar = Callable[[RunPlan], AbstractContextManager[ProgressCallbacks]]
 
 

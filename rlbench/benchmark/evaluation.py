@@ -16,7 +16,7 @@ from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from hashlib import sha256
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import torch
 
@@ -40,7 +40,9 @@ from rlbench.run import FrameResult
 from rlbench.system import provenance
 from rlbench.system.folder_lock import locked_folder
 
-__all__ = ["EvaluatedMetric", "EvaluationSummary", "evaluate", "select_metrics"]
+if TYPE_CHECKING:
+    from metrics.comparison import Comparison
+    from metrics.metric import Metric
 
 SCORING = ("rlbench.benchmark.evaluation", "rlbench.benchmark.scoring")  # images to numbers
 OF_RUNS = "srgb"  # the convention in which a run scores
@@ -135,7 +137,7 @@ def _score_cell(
     rows: dict[EvaluatedMetric, list[Row]] = {each: [] for each in metrics}
     reasons: dict[EvaluatedMetric, str] = {}
     whole_clip = [each for each in metrics if each.metric.whole_clip]
-    comparisons: list[Any] = []
+    comparisons: list[Comparison] = []
     for result, compared in _compare_frames(kept, metrics):
         comparisons += [compared] if whole_clip else []
         for each in metrics:
@@ -166,7 +168,7 @@ def _reason_in(reasons: dict[EvaluatedMetric, str], metric: EvaluatedMetric) -> 
 
 def _compare_frames(
     kept: KeptCell, metrics: Sequence[EvaluatedMetric]
-) -> Iterator[tuple[FrameResult, Any]]:
+) -> Iterator[tuple[FrameResult, Comparison]]:
     """Each frame as a run would have handed it to metrics; no sample is read from the clip."""
     inputs = buffers_of_truth(each.metric for each in metrics) & set(kept.header.buffers)
     clip = open_clip(kept.clip.folder, inputs, max_samples=1, pool=kept.images.pool)
@@ -185,13 +187,13 @@ def _compare_frames(
 class EvaluatedMetric(NamedTuple):
     """A metric under one convention, and a hash of what its scores depend on beside the images."""
 
-    metric: Any  # as metrics.metric.Metric
+    metric: Metric
     content_hash: str
 
     @property
     def name(self) -> str:
         """The name of its rows, such as psnr or psnr@hable."""
-        return str(self.metric.name)
+        return self.metric.name
 
 
 def select_metrics(names: Iterable[str], conventions: Iterable[str] = ()) -> list[EvaluatedMetric]:
@@ -215,7 +217,7 @@ def select_metrics(names: Iterable[str], conventions: Iterable[str] = ()) -> lis
     ]
 
 
-def _variants(metric: Any, conventions: Sequence[str]) -> list[Any]:
+def _variants(metric: Metric, conventions: Sequence[str]) -> list[Metric]:
     """The metric under each convention, if it takes one and there are any; else as it is.
 
     Under that of runs it has its plain name.
@@ -231,8 +233,8 @@ def _variants(metric: Any, conventions: Sequence[str]) -> list[Any]:
     return variants
 
 
-def _load(name: str) -> Any:
-    metric = registry.load_or_explain("metrics", name)
+def _load(name: str) -> Metric:
+    metric: Metric = registry.load_or_explain("metrics", name)
     if missing := provenance.missing_packages(metric.requires):
         raise registry.PluginError(
             f"metric '{name}' needs {', '.join(missing)}, which is not installed: pip install "
@@ -241,7 +243,7 @@ def _load(name: str) -> Any:
     return metric
 
 
-def _content_hash(entry: str, metric: Any) -> str:
+def _content_hash(entry: str, metric: Metric) -> str:
     """Hash of a metric's code, convention and packages, and of the code that scores images."""
     code = registry.metrics_code_hash([entry], SCORING)
     content = (metric.name, metric.convention, code, provenance.package_versions(metric.requires))

@@ -29,6 +29,7 @@ from rlbench.benchmark.cell_key import CellId, CellKey, check_no_overwrite
 from rlbench.benchmark.clip_sources import StoredSource
 from rlbench.benchmark.content_hash import header_facts, scoring_content
 from rlbench.benchmark.looks import record_looks
+from rlbench.benchmark.loose_images import ENCODINGS, LooseImageError, read_linear
 from rlbench.benchmark.results import IMAGES_PREFIX, Row
 from rlbench.benchmark.runner import CellStore
 from rlbench.benchmark.scoring import (
@@ -41,34 +42,15 @@ from rlbench.benchmark.scoring import (
     score_frames,
     with_value,
 )
-from rlbench.clips.header import ClipError
-from rlbench.clips.importers.image_files import read_exr, read_png
+from rlbench.clips.importers.image_files import read_exr
 from rlbench.clips.importers.sequence import SourceError
-from rlbench.clips.pfm import read_pfm
 from rlbench.clips.stored import open_clip
 from rlbench.errors import RlbenchError
-from rlbench.ops.color import decode_srgb
 from rlbench.run import FrameResult
 from rlbench.system import code_hash
 from rlbench.system.folder_lock import locked_folder
 
-__all__ = [
-    "Claim",
-    "ForeignClip",
-    "ForeignImagesError",
-    "ScoredClip",
-    "check_name",
-    "find_foreign_images",
-    "score_foreign_images",
-]
-
-ENCODINGS = {
-    ".exr": "EXR, linear radiance",
-    ".pfm": "PFM, linear radiance",
-    ".png": "PNG, 8-bit sRGB, decoded: clipped at display white",
-}
 COUNT_FILES = (".exr", ".npy")
-RGB = (("R", "G", "B"), ("*.R", "*.G", "*.B"))
 COUNTS = (("counts",), ("*",))
 EXCESS = 1e-3  # share of the budget that counts may exceed it by: rounding
 TIMES = ("plan_ms", "allocate_ms", "denoise_ms", "inference_ms")
@@ -344,13 +326,9 @@ def _read_frames(claim: Claim, images: ForeignClip) -> Iterator[tuple[Tensor, Te
 
 def _read_image(file: Path, size: tuple[int, int]) -> Tensor:
     """The image [3 h w]: linear radiance, of a PNG that of its display values."""
-    suffix = file.suffix.lower()
     try:
-        if suffix == ".png":
-            pixels: NDArray[Any] = read_png(file).astype(np.float32) / 255
-        else:
-            pixels = read_pfm(file) if suffix == ".pfm" else read_exr(file, RGB)
-    except (SourceError, ClipError, OSError) as error:
+        pixels = read_linear(file)
+    except LooseImageError as error:
         raise ForeignImagesError(str(error)) from error
     if pixels.shape != (*size, 3):
         h, w, channels = pixels.shape
@@ -358,8 +336,7 @@ def _read_image(file: Path, size: tuple[int, int]) -> Tensor:
             f"{file} has {w} x {h} pixels of {channels} channels, the clip {size[1]} x {size[0]} "
             "of 3. Images are scored at the size of the clip's reference"
         )
-    image = torch.from_numpy(pixels.astype(np.float32)).movedim(-1, 0).contiguous()
-    return decode_srgb(image) if suffix == ".png" else image
+    return torch.from_numpy(pixels).movedim(-1, 0).contiguous()
 
 
 def _read_counts(file: Path, size: tuple[int, int]) -> Tensor:

@@ -30,8 +30,6 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.image import AxesImage
 
-__all__ = ["ImagesError", "LinearImage", "frame_at", "method_image", "write_images"]
-
 NONFINITE_COLOUR = (255, 0, 255)  # of NaN and infinite pixels, which a display would hide
 MAX_ERROR = 0.25  # end of the error scale: mean over channels, in units of display white
 DIFFERENCE_PERCENTILE = 98  # of the sizes of differences, at the ends of their scale

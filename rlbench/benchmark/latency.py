@@ -36,19 +36,6 @@ from rlbench.run import run_clip
 from rlbench.system import provenance
 from rlbench.system.process_settings import keep_freed_memory
 
-__all__ = [
-    "Limits",
-    "PartTime",
-    "TimedRow",
-    "Timing",
-    "device_name",
-    "half_width",
-    "is_steady",
-    "median_ranks",
-    "middle_half",
-    "time_methods",
-]
-
 REPEATS = 10  # timed frames of a row, at least
 PARTS = ("plan", "allocate", "denoise")  # of inference, in the order of a frame
 UNTIMED, TIMED = 1, 3  # frames of a row in each round

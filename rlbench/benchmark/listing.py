@@ -22,15 +22,6 @@ if TYPE_CHECKING:
     from rlbench.render.scene import Scene
     from rlbench.weights import ModelCard
 
-__all__ = [
-    "MethodFacts",
-    "SceneFacts",
-    "TakeFacts",
-    "list_installed",
-    "method_facts",
-    "scene_facts",
-]
-
 Row = dict[str, Any]
 Listing = dict[str, list[Row]]  # one list of rows a kind
 TAKE_FRAMES = 20  # of preset standard, which has all takes

@@ -21,8 +21,6 @@ from rlbench.benchmark.cell_key import CellKey
 from rlbench.render.presets import is_test_split
 from rlbench.system.paths import write_error
 
-__all__ = ["count_looks", "record_looks"]
-
 FILE = "looks.csv"
 COLUMNS = ("date", "preset", "methods", "cells", "code_hash")
 

@@ -24,24 +24,6 @@ if TYPE_CHECKING:
     import pandas as pd
     import pyarrow as pa
 
-__all__ = [
-    "COLUMNS",
-    "DamagedFileError",
-    "MissingRowsError",
-    "Row",
-    "RowName",
-    "RowOptions",
-    "TableError",
-    "cells",
-    "drop_cell",
-    "read",
-    "read_cell_rows",
-    "select_methods",
-    "set_aside_damaged",
-    "to_dataframe",
-    "write_cell",
-]
-
 UNRELIABLE = "unreliable:"  # begins the note of a time that failed its test; the reason follows
 NO_GBUFFER = "the method reads no G-buffer"  # convention of its time, which is 0
 TWO_DEVICES = "two devices:"  # in the note of a frame's time that adds times of two devices
@@ -307,17 +289,6 @@ def _content(folder: Path) -> str:
     return f"it holds {', '.join(files[:4])}{more}" if files else "the folder is empty"
 
 
-@dataclass(frozen=True)
-class _Metadata:
-    """What a file says of itself in the parquet metadata."""
-
-    schema: int
-    key: CellKey
-    content_hash: str
-    times_hash: str
-    checksum: str  # of rows and identity
-
-
 def _read_id(file: Path) -> CellId | None:
     """The cell in a file, whose rows are not read; None for parquet files of other content.
 
@@ -375,9 +346,7 @@ def _read_identity(file: Path, schema: pa.Schema) -> tuple[CellId | None, str]:
             f"{file} has schema {document['schema']}, this version reads {SCHEMA}. Update "
             "rlbench, or use another folder"
         )
-    metadata = documents.decode(document, _Metadata)
-    cell = CellId(metadata.key, metadata.content_hash, metadata.times_hash)
-    return cell, metadata.checksum
+    return documents.decode(document, CellId), document["checksum"]
 
 
 def _checksum(cell: CellId, table: pa.Table) -> str:

@@ -19,8 +19,6 @@ from rlbench.benchmark.runner import RunSummary
 if TYPE_CHECKING:
     import pandas as pd
 
-__all__ = ["RunOutcome", "RunWarning", "judge_run", "read_outcome"]
-
 HEADLINE = ("psnr", "psnr_debiased")
 TIMES = ("inference_ms", "frame_ms")
 NONFINITE = "nonfinite"  # metric that counts pixels with a NaN or infinite channel

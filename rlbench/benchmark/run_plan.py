@@ -30,16 +30,6 @@ from rlbench.system.bfloat16 import require_native_bf16
 from rlbench.weights import training_clips
 from rlbench.wrappers import HalfPrecision, SkipTiles
 
-__all__ = [
-    "Cell",
-    "CellLoader",
-    "RunPlan",
-    "build_method",
-    "list_cells",
-    "row_name",
-    "weights_file",
-]
-
 DEFAULT_SPP = (0.5, 1.0, 2.0, 4.0)  # budgets, samples per pixel
 
 _logger = logging.getLogger(__name__)

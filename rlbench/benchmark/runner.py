@@ -64,8 +64,6 @@ from rlbench.training.dataset import QUICK_PREFIX, QUICK_REMARK
 if TYPE_CHECKING:
     import pandas as pd
 
-__all__ = ["ProgressCallbacks", "RunSummary", "check_times_alone", "measure", "read_cells"]
-
 CellCallback = Callable[[Cell], None]
 
 _logger = logging.getLogger(__name__)

@@ -9,7 +9,7 @@ import math
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import torch
 from torch import Tensor
@@ -25,21 +25,10 @@ from rlbench.ops.sanitize import sanitize_motion
 from rlbench.run import FrameResult
 from rlbench.wrappers import TileMemory
 
-__all__ = [
-    "GroundTruthCache",
-    "add_counts",
-    "buffers_of_truth",
-    "compare_frame",
-    "count_rows",
-    "make_ground_truth",
-    "refusal_row",
-    "results_of_images",
-    "row_template",
-    "score_clip",
-    "score_frame",
-    "score_frames",
-    "with_value",
-]
+if TYPE_CHECKING:
+    from metrics.comparison import Comparison
+    from metrics.ground_truth import GroundTruth
+    from metrics.metric import Metric
 
 MAX_PIXELS = 2**21  # of all frames of a clip that is kept: about 0.3 GB
 EVENTS = {"cut": "another shot begins", "light": "lights change"}
@@ -50,13 +39,13 @@ NO_REFERENCE = "the frame, or one before it that the metric reads, has no refere
 SKIPPED = "share of pixels kept from the last image, in tiles that did not change"
 
 
-def buffers_of_truth(metrics: Iterable[Any]) -> frozenset[str]:
-    """The buffers that the ground truth holds for these `metrics.metric.Metric`."""
+def buffers_of_truth(metrics: Iterable[Metric]) -> frozenset[str]:
+    """The buffers that the ground truth holds for these metrics."""
     return frozenset({"motion"}).intersection(name for each in metrics for name in each.needs)
 
 
-def make_ground_truth(metric: Any, frame: Frame) -> Any:
-    """The `metrics.ground_truth.GroundTruth` of a frame, by any `metrics.metric.Metric`."""
+def make_ground_truth(metric: Metric, frame: Frame) -> GroundTruth:
+    """The ground truth of a frame, by any metric."""
     buffers, static = frame.gbuffer.buffers, frame.gbuffer.static
     has_motion = "motion" in buffers and not static
     motion = sanitize_motion(buffers["motion"]).clone() if has_motion else None
@@ -68,9 +57,9 @@ def make_ground_truth(metric: Any, frame: Frame) -> Any:
 class ClipWithTruth(ClipWrapper):
     """A clip whose ground truth is made before a method receives the frame, and may write to it."""
 
-    make: Callable[[Frame], Any]
+    make: Callable[[Frame], GroundTruth]
     keeps_all: bool  # or else the present frame's alone
-    _by_index: dict[int, Any] = field(repr=False)
+    _by_index: dict[int, GroundTruth] = field(repr=False)
 
     def __iter__(self) -> Iterator[Frame]:
         """The frames in order."""
@@ -81,7 +70,7 @@ class ClipWithTruth(ClipWrapper):
                 self._by_index[frame.index] = self.make(frame)
             yield frame
 
-    def ground_truth(self, frame: Frame) -> Any:
+    def ground_truth(self, frame: Frame) -> GroundTruth:
         """The ground truth of the frame that was read last, or of any if it `keeps_all`."""
         return self._by_index[frame.index]
 
@@ -93,10 +82,10 @@ class GroundTruthCache:
     it, is empty.
     """
 
-    def __init__(self, metric: Any) -> None:
-        """`metric` is any `metrics.metric.Metric`."""
+    def __init__(self, metric: Metric) -> None:
+        """`metric` may be any: all make the same."""
         self._metric, self._digest = metric, ""
-        self._by_index: dict[int, Any] = {}
+        self._by_index: dict[int, GroundTruth] = {}
 
     def open(self, clip: Clip) -> ClipWithTruth:
         """A clip with what is known of its ground truth; that of another clip is forgotten."""
@@ -106,7 +95,7 @@ class GroundTruthCache:
         is_small = len(clip) * math.prod(clip.size) <= MAX_PIXELS
         return ClipWithTruth(clip, make, is_small, self._by_index if is_small else {})
 
-    def __reduce__(self) -> tuple[type[GroundTruthCache], tuple[Any]]:
+    def __reduce__(self) -> tuple[type[GroundTruthCache], tuple[Metric]]:
         """A copy without what is kept."""
         return GroundTruthCache, (self._metric,)
 
@@ -162,12 +151,12 @@ def refusal_row(template: Row, reason: str) -> Row:
 
 
 def compare_frame(
-    metric: Any,  # as metrics.metric.Metric
+    metric: Metric,
     result: FrameResult,
-    truth: Any,  # as metrics.ground_truth.GroundTruth
-    previous: Any | None,  # the frame before, as this function returns it
+    truth: GroundTruth,
+    previous: Comparison | None,  # the frame before
     max_samples: int | None = None,
-) -> Any:
+) -> Comparison:
     """A frame as any `metric` receives it.
 
     `max_samples` is the most that one pixel can have, None if that is not known.
@@ -183,10 +172,10 @@ def compare_frame(
 
 def score_frames(
     template: Row,
-    metrics: Sequence[Any],  # as metrics.metric.Metric
+    metrics: Sequence[Metric],
     results: Iterable[FrameResult],
     header: Header,
-    ground_truth: Callable[[Frame], Any],  # as metrics.ground_truth.GroundTruth
+    ground_truth: Callable[[Frame], GroundTruth],
     max_samples: int | None = None,
 ) -> Iterator[tuple[FrameResult, list[Row]]]:
     """The frames of a clip in order, each with its rows. Raises as `score_frame` does."""
@@ -199,8 +188,8 @@ def score_frames(
 
 def score_frame(
     template: Row,
-    metrics: Iterable[Any],  # as metrics.metric.Metric
-    comparison: Any,  # as metrics.comparison.Comparison
+    metrics: Iterable[Metric],
+    comparison: Comparison,
     result: FrameResult,
     header: Header,
 ) -> Iterator[Row]:
@@ -248,7 +237,9 @@ def count_rows(template: Row, pixels: Tensor) -> list[Row]:
     ]
 
 
-def score_clip(template: Row, generic: Any, comparisons: Sequence[Any], header: Header) -> Row:
+def score_clip(
+    template: Row, generic: Metric, comparisons: Sequence[Comparison], header: Header
+) -> Row:
     """The row of a metric of the whole clip, whose frames are in order."""
     metric = generic.at(*comparisons[0].image.shape[-2:])
     notes = (_missing_input(metric, comparison, header) for comparison in comparisons)
@@ -257,7 +248,7 @@ def score_clip(template: Row, generic: Any, comparisons: Sequence[Any], header: 
     return _score_row(replace(template, frame=WHOLE_CLIP), metric, score, note)
 
 
-def _missing_input(metric: Any, comparison: Any, header: Header) -> str:
+def _missing_input(metric: Metric, comparison: Comparison, header: Header) -> str:
     """Why a metric has no score of a frame; empty if it has one."""
     if metric.needs_reference and not comparison.has_references(metric.previous_frames):
         return NO_REFERENCE
@@ -284,7 +275,7 @@ def _fact_rows(frame: Row, header: Header, result: FrameResult) -> Iterator[Row]
         yield with_value(frame, "tiles_skipped", result.state.skipped, SKIPPED)
 
 
-def _score_row(row: Row, metric: Any, score: float, note: str) -> Row:
+def _score_row(row: Row, metric: Metric, score: float, note: str) -> Row:
     row = replace(row, unit=metric.unit, direction=metric.direction)
     return with_value(row, metric.name, score, metric.convention, note)
 

@@ -22,8 +22,6 @@ from rlbench.frames import BUFFERS
 if TYPE_CHECKING:
     import pandas as pd
 
-__all__ = ["DisplayClip", "ShownClip", "ShownClips", "display_clips", "find_shown_clips"]
-
 
 @dataclass(frozen=True)
 class ShownImages:
@@ -33,8 +31,8 @@ class ShownImages:
     target_spp: float
     seed: int  # of the sample order
     device: str  # model name
-    frames: Float16[Array, "t 3 h w"]  # linear radiance
-    counts: Float16[Array, "t h w"]  # samples of each pixel
+    frames: Float[Array, "t 3 h w"]  # linear radiance
+    counts: Float[Array, "t h w"]  # samples of each pixel; t is 0 where they are not known
 
 
 @dataclass(frozen=True)
@@ -46,7 +44,7 @@ class ShownClip:
     fps: float
     cuts: tuple[int, ...]  # first frames of shots, without frame 0
     light_changes: tuple[int, ...]  # first frames under another light
-    reference: Float[Array, "t 3 h w"]  # linear radiance, exposed
+    reference: Float[Array, "t 3 h w"]  # linear radiance, exposed; t is 0 for loose images
     buffers: dict[str, Any]  # albedo, normal, depth, motion: float [t c h w]; some may be absent
     images: tuple[ShownImages, ...]
 

@@ -38,17 +38,6 @@ from rlbench.parallel.executor import LOCAL, JobResult, ProgressCallback
 from rlbench.run import run_clip
 from rlbench.wrappers import MethodWrapper
 
-__all__ = [
-    "Configuration",
-    "count_multiply_adds",
-    "failed_rows",
-    "generated_clip",
-    "measure_speed",
-    "profile_times",
-    "speed_page",
-    "write_speed",
-]
-
 PEAK_SIDE, PEAK_RUNS = 2048, 5  # of the matrix product that stands for the machine's peak
 COLUMNS = {
     "method": "row name, with backend and precision",

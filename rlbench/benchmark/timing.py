@@ -33,8 +33,6 @@ from rlbench.render.jobs.live_pool import open_wavefronts, scene_of_folder
 from rlbench.run import run_clip
 from rlbench.system import provenance
 
-__all__ = ["ScatterMeter", "TimingCache", "drop_times", "failed_time_rows", "timing_rows"]
-
 MAX_ROWS = 48  # timed in one session: the state of each is in memory
 FRAMES = 3  # of the clip, so that a temporal method has a history; the last one's counts are traced
 PERCENTILES = ("plan", "allocate", "denoise", "inference", "sample_fetch")

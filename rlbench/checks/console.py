@@ -3,16 +3,14 @@
 from __future__ import annotations
 
 import math
+import traceback
 from collections import Counter
 from collections.abc import Iterable
-from typing import Protocol
 
 from rich.console import Console
 from rich.markup import escape
 
 from rlbench.checks.result import CheckResult, Verdict
-
-__all__ = ["OnResults", "print_lines", "print_results"]
 
 MARKS = {
     Verdict.PASSED: "[green]✓[/green]",
@@ -22,36 +20,35 @@ MARKS = {
 }
 
 
-class OnResults(Protocol):
-    """What happens to the results of a method, a clip or this machine."""
-
-    def __call__(self, results: Iterable[CheckResult], /, *, title: str = "") -> bool:
-        """Show or keep the results as they arrive; returns whether no check failed."""
-
-
-def print_results(results: Iterable[CheckResult], console: Console, title: str = "") -> bool:
-    """Print a tick list and the number of results of each verdict; False if a check failed."""
-    counts = print_lines(results, console, title)
+def print_results(
+    results: Iterable[CheckResult], console: Console, title: str = "", debug: bool = False
+) -> list[CheckResult]:
+    """Print a tick list and the number of results of each verdict; returns the results."""
+    printed = print_lines(results, console, title, debug)
+    counts = Counter(result.verdict for result in printed)
     summary = ", ".join(f"{verdict.value}: {counts[verdict]}" for verdict in Verdict)
     console.print(f"  {summary}", highlight=False, soft_wrap=True)
-    return not counts[Verdict.FAILED]
+    return printed
 
 
 def print_lines(
-    results: Iterable[CheckResult], console: Console, title: str = ""
-) -> Counter[Verdict]:
-    """Print a line per result, and count the verdicts.
+    results: Iterable[CheckResult], console: Console, title: str = "", debug: bool = False
+) -> list[CheckResult]:
+    """Print a line per result, as they arrive; returns the results.
 
     A line holds the mark, the check, its figure with both limits, what was found, and after `->`
-    how to fix it.
+    how to fix it. With `debug`, the traceback of an exception follows its line.
     """
     if title:
         console.print(f"[bold]{escape(title)}[/bold]", highlight=False, soft_wrap=True)
-    counts: Counter[Verdict] = Counter()
+    printed = []
     for result in results:
         console.print(_format_line(result), highlight=False, soft_wrap=True)
-        counts[result.verdict] += 1
-    return counts
+        if debug and result.error:
+            lines = traceback.format_exception(result.error)
+            console.print("".join(lines), markup=False, highlight=False, soft_wrap=True)
+        printed.append(result)
+    return printed
 
 
 def _format_line(result: CheckResult) -> str:

@@ -15,17 +15,6 @@ from torch import Tensor
 from rlbench.clips.in_memory import InMemoryClip
 from rlbench.frames import Frame, GBuffer, Reference, StoredPool
 
-__all__ = [
-    "edit_radiance",
-    "edit_tensors",
-    "join_clips",
-    "select_clip",
-    "start_new_shot",
-    "stored_radiance",
-    "to_clip",
-    "with_buffers",
-]
-
 OUTSIDE = -2.0  # image sizes, along both axes, that motion points away where a shot begins
 
 Edit = Callable[[Tensor], Tensor]

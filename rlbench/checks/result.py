@@ -6,17 +6,6 @@ import math
 from dataclasses import dataclass, field
 from enum import Enum
 
-__all__ = [
-    "CheckResult",
-    "Limits",
-    "Verdict",
-    "failed",
-    "judge",
-    "not_applicable",
-    "passed",
-    "warning",
-]
-
 
 class Verdict(Enum):
     """Outcome of a check. Only FAILED makes a method or a clip unfit for a benchmark."""

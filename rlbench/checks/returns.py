@@ -21,16 +21,6 @@ from rlbench.method import Method, State
 from rlbench.registry.failure import point_at
 from rlbench.wrappers import MethodWrapper
 
-__all__ = [
-    "CheckedReturns",
-    "Fault",
-    "WrongReturnError",
-    "describe_value",
-    "find_density_fault",
-    "find_return_fault",
-    "find_signature_fault",
-]
-
 ARGUMENTS = {
     "build": ("variant", "device", "weights"),
     "start": ("size",),

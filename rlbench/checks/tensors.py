@@ -8,8 +8,6 @@ from typing import Any
 
 from torch import Tensor
 
-__all__ = ["has_graph", "is_bit_equal", "iterate_parts", "iterate_tensors"]
-
 
 def is_bit_equal(one: Tensor, other: Tensor) -> bool:
     """Do both have the same shape, type and values, NaN counting as equal to NaN?"""

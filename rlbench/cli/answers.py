@@ -14,8 +14,6 @@ if TYPE_CHECKING:
     from reports.compare import Comparison
     from reports.decide import Decision, GivenTimes
 
-__all__ = ["compare", "decide"]
-
 RESULTS = Path("results")
 
 

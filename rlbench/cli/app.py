@@ -9,8 +9,6 @@ import typer
 from rlbench.cli.command import CommandGroup
 from rlbench.cli.verbosity import set_verbosity
 
-__all__ = ["COMMANDS", "app"]
-
 CommandGroup.groups = {  # each command is the function of its name in the module of its name
     "Measure": ("run", "decide", "compare", "report"),
     "Look": ("view", "images", "video"),

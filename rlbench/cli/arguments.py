@@ -14,30 +14,6 @@ import typer
 
 from rlbench.errors import OptionError
 
-__all__ = [
-    "Budgets",
-    "Crop",
-    "Definition",
-    "PixelSize",
-    "PixelSizes",
-    "Seeds",
-    "WeightsChoice",
-    "parse_age",
-    "parse_budgets",
-    "parse_crop",
-    "parse_definition",
-    "parse_keep",
-    "parse_positive",
-    "parse_seeds",
-    "parse_share",
-    "parse_size",
-    "parse_sizes",
-    "parse_time",
-    "parse_train_spp",
-    "parse_weights",
-    "split_names",
-]
-
 T = TypeVar("T")
 
 Budgets = NewType("Budgets", tuple[float, ...])  # samples per pixel

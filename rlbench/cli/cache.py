@@ -17,8 +17,6 @@ from rlbench.errors import OptionError
 if TYPE_CHECKING:
     from rlbench.benchmark.cache_entries import CacheEntry
 
-__all__ = ["cache"]
-
 REMADE_AT_ONCE = "decoded frames"  # the kind that `prune` removes without a selection
 
 

@@ -7,11 +7,9 @@ from typing import Annotated
 import typer
 
 from rlbench.cli import options
-from rlbench.cli.json_output import ChecksOutput, print_json
+from rlbench.cli.json_output import show_checks
 from rlbench.cli.methods import load_rows, require_methods
 from rlbench.cli.options import flag
-
-__all__ = ["check"]
 
 
 def check(
@@ -43,10 +41,9 @@ def check(
     from rlbench.benchmark.api import select_device
     from rlbench.checks.conformance.run import check_methods
 
-    output = ChecksOutput() if as_json else None
-    has_passed = check_methods(
-        patterns, select_device(device), debug, output.add if output else None
-    )
-    if output:
-        print_json(output)
-    raise typer.Exit(0 if has_passed else 1)
+    rows = show_checks(check_methods(patterns, select_device(device)), as_json, debug)
+    failed = [row["name"] for row in rows if not row["passed"]]
+    if not as_json:
+        summary = f"failed: {', '.join(failed)}" if failed else "none failed"
+        typer.echo(f"{len(rows)} method{'s' * (len(rows) != 1)} checked; {summary}")
+    raise typer.Exit(bool(failed))

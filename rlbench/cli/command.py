@@ -22,8 +22,6 @@ from rlbench.registry.near_names import suggest
 from rlbench.registry.plugin_code import exits_as_errors
 from rlbench.system.paths import FolderNotWritableError, WriteError, write_error, write_remedy
 
-__all__ = ["Command", "CommandGroup", "load_command", "what_is_kept"]
-
 SHORT_HELP = 8  # options that -h shows
 NEARLY_ALL = 11  # as many options are all shown
 HELP_ALL = "--help-all"
@@ -44,6 +42,7 @@ KEPT = {  # command: what an interrupted one leaves; None in place of a folder: 
     "scenes": "complete files are kept",
     "video": "complete videos are kept",
 }
+LISTED = ("methods", "metrics", "presets", "reports")  # by rlbench list, so no commands
 BEGINS_AGAIN = {"video"}  # commands of KEPT that use nothing of what is there
 
 
@@ -209,7 +208,8 @@ class CommandGroup(TyperGroup):
         """The command that the words name. An unknown one is answered with the nearest."""
         names = self.list_commands(ctx)
         if args[0] not in names and not ctx.resilient_parsing and not args[0].startswith("-"):
-            ctx.fail(f"No such command '{args[0]}'{suggest(args[0], names) or '.'}")
+            kind = f". See rlbench list {args[0]}" if args[0] in LISTED else "."
+            ctx.fail(f"No such command '{args[0]}'{suggest(args[0], names) or kind}")
         return super().resolve_command(ctx, args)
 
     def parse_args(self, ctx: Any, args: list[str]) -> list[str]:

@@ -14,8 +14,6 @@ from rlbench.cli.methods import load_plugins
 from rlbench.cli.options import names_of_methods
 from rlbench.cli.selection import read_rows
 
-__all__ = ["compare"]
-
 
 def compare(
     methods: Annotated[

@@ -15,8 +15,6 @@ from rlbench.errors import OptionError
 from rlbench.registry.near_names import unknown_name
 from rlbench.system import documents
 
-__all__ = ["use", "write"]
-
 LEFT_OUT = ("config", "out")  # of the file that a run writes: they belong to one call
 
 

@@ -20,14 +20,6 @@ if TYPE_CHECKING:
     from rlbench.benchmark.runner import RunSummary
     from rlbench.training import Progress as TrainingProgress
 
-__all__ = [
-    "counting",
-    "measuring",
-    "print_outcome",
-    "training",
-    "training_status",
-]
-
 SPEED_PERIOD = 600.0  # seconds of progress from which the remaining time is estimated
 
 
@@ -55,7 +47,12 @@ def training(title: str, frames: int) -> Iterator[Callable[[TrainingProgress, fl
 
         def on_progress(progress: TrainingProgress, loss: float) -> None:
             status = f"{title}, {training_status(progress, loss)}"
-            bar.update(task, completed=progress.frames_seen, description=status)
+            bar.update(
+                task,
+                completed=progress.frames_seen,
+                total=progress.frames_goal,
+                description=status,
+            )
 
         yield on_progress
 

@@ -13,8 +13,6 @@ from rlbench.cli.methods import expand_methods, load_plugins
 from rlbench.cli.options import folder
 from rlbench.cli.train import training_runs
 
-__all__ = ["crossval"]
-
 
 def crossval(
     methods: options.Methods = None,

@@ -9,10 +9,10 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from rlbench.cli import answers, options
-from rlbench.cli.arguments import parse_positive, split_names
+from rlbench.cli.arguments import split_names
 from rlbench.cli.json_output import as_json_text
 from rlbench.cli.methods import load_plugins, plugin_words
-from rlbench.cli.options import MEASUREMENT, METHODS, flag, option
+from rlbench.cli.options import MEASUREMENT, METHODS, flag, number, option
 from rlbench.cli.selection import read_rows
 from rlbench.errors import OptionError
 from rlbench.registry.near_names import unknown_name
@@ -20,26 +20,18 @@ from rlbench.registry.near_names import unknown_name
 if TYPE_CHECKING:
     import pandas as pd
 
-__all__ = ["decide"]
-
 
 def decide(
     frame_ms: Annotated[
         float,
-        option(
-            MEASUREMENT,
-            "the deadline: 16.7 for 60 frames a second",
-            value="MS",
-            parse=parse_positive,
-        ),
+        number(MEASUREMENT, "the deadline: 16.7 for 60 frames a second", "MS"),
     ],
     sample_ms: Annotated[
         float | None,
-        option(
+        number(
             MEASUREMENT,
             "your renderer's time for one sample of every pixel; default: that in COST",
-            value="MS",
-            parse=parse_positive,
+            "MS",
         ),
     ] = None,
     gbuffer_ms: options.GbufferMs = None,

@@ -8,11 +8,8 @@ from typing import Annotated
 import typer
 
 from rlbench.cli import options
-from rlbench.cli.arguments import parse_positive
 from rlbench.cli.methods import load_plugins
-from rlbench.cli.options import CLIPS, METHODS, complete_methods, option
-
-__all__ = ["denoise"]
+from rlbench.cli.options import CLIPS, METHODS, complete_methods, number, option
 
 
 def denoise(
@@ -57,11 +54,10 @@ def denoise(
     ] = "",
     exposure: Annotated[
         float | None,
-        option(
+        number(
             CLIPS,
             "radiance times this is 1 at display white; default: chosen from the first frame",
-            value="FACTOR",
-            parse=parse_positive,
+            "FACTOR",
         ),
     ] = None,
     plugin: options.Plugins = None,

@@ -13,7 +13,7 @@ from pathlib import Path
 from rlbench import registry
 from rlbench.checks.result import CheckResult, passed, warning
 from rlbench.cli import options
-from rlbench.cli.json_output import ChecksOutput, print_json
+from rlbench.cli.json_output import show_checks
 from rlbench.cli.methods import load_plugins
 from rlbench.system import paths, provenance
 
@@ -40,16 +40,7 @@ def doctor(plugin: options.Plugins = None, as_json: options.Json = False) -> Non
       rlbench doctor
     """
     load_plugins(plugin, allow_broken=True)
-    if as_json:
-        output = ChecksOutput()
-        output.add(inspect_machine(), title=platform.node())
-        print_json(output)
-        return
-    from rich.console import Console
-
-    from rlbench.checks.console import print_results
-
-    print_results(inspect_machine(), Console())
+    show_checks([(platform.node() if as_json else "", inspect_machine())], as_json)
 
 
 def inspect_machine() -> Iterator[CheckResult]:

@@ -12,8 +12,6 @@ from rlbench.cli.arguments import split_names
 from rlbench.cli.methods import load_plugins
 from rlbench.cli.options import MEASUREMENT, folder, option
 
-__all__ = ["evaluate"]
-
 
 def evaluate(
     results: Annotated[

@@ -9,8 +9,6 @@ import typer
 
 from rlbench.cli.options import flag, option
 
-__all__ = ["export"]
-
 
 def export(
     clips: Annotated[
@@ -45,7 +43,8 @@ def export(
     """
     from rlbench.cli import console
     from rlbench.clips.export import export_clip
-    from rlbench.clips.stored import find_all_clips, read_header
+    from rlbench.clips.header import read_header
+    from rlbench.clips.stored import find_all_clips
     from rlbench.system.paths import check_writable
 
     check_writable(out)

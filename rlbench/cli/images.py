@@ -17,8 +17,6 @@ from rlbench.cli.methods import (
 )
 from rlbench.cli.options import CLIPS, MEASUREMENT, folder, option
 
-__all__ = ["images"]
-
 ONE_SPP = Budgets((1.0,))
 
 

@@ -8,13 +8,10 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from rlbench.cli.arguments import parse_positive
-from rlbench.cli.options import option
+from rlbench.cli.options import number, option
 
 if TYPE_CHECKING:
     from rlbench.clips.importers.sequence import ImportedSequence
-
-__all__ = ["import_"]
 
 
 def import_(
@@ -46,11 +43,10 @@ def import_(
     ] = None,
     exposure: Annotated[
         float | None,
-        option(
+        number(
             None,
             "radiance times this is 1 at display white; default: chosen as in render FILE",
-            value="FACTOR",
-            parse=parse_positive,
+            "FACTOR",
         ),
     ] = None,
     sanitize: Annotated[

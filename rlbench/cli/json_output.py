@@ -22,17 +22,6 @@ if TYPE_CHECKING:
     from rlbench.benchmark.cache_entries import CacheEntry
     from rlbench.benchmark.run_outcome import RunOutcome
 
-__all__ = [
-    "CacheOutput",
-    "ChecksOutput",
-    "ReportOutput",
-    "RunOutput",
-    "ScenesOutput",
-    "as_json_text",
-    "print_json",
-    "run_output",
-]
-
 
 @dataclass(frozen=True)
 class RunOutput:
@@ -61,25 +50,13 @@ class ReportOutput:
     failed: dict[str, str] = field(default_factory=dict)  # error by report
 
 
-@dataclass
+@dataclass(frozen=True)
 class ChecksOutput:
-    """Output of `rlbench check`, `lint` and `doctor` with --json; filled as checks are made."""
+    """Output of `rlbench check`, `lint` and `doctor` with --json."""
 
-    passed: bool = True  # no check failed
-    checked: list[dict[str, Any]] = field(default_factory=list)
+    passed: bool  # no check failed
+    checked: list[dict[str, Any]]
     # name of the method, clip or machine, passed, and checks: check, verdict, found, remedy
-
-    def add(self, results: Iterable[CheckResult], /, *, title: str = "") -> bool:
-        """Add the checks of a method, a clip or this machine; returns whether none failed."""
-        checks = list(results)
-        passed = all(each.verdict is not Verdict.FAILED for each in checks)
-        rows = [
-            {"check": c.check, "verdict": c.verdict.value, "found": c.found, "remedy": c.remedy}
-            for c in checks
-        ]
-        self.checked.append({"name": title, "passed": passed, "checks": rows})
-        self.passed &= passed
-        return passed
 
 
 @dataclass(frozen=True)
@@ -149,6 +126,31 @@ def run_output(outcome: RunOutcome) -> RunOutput:
         missing=outcome.missing,
         remarks=outcome.remarks,
     )
+
+
+def show_checks(
+    checked: Iterable[tuple[str, Iterable[CheckResult]]], as_json: bool, debug: bool = False
+) -> list[dict[str, Any]]:
+    """Print a tick list of each method, clip or machine as checks are made, or JSON in the end.
+
+    Returns the rows of ChecksOutput. `debug` prints tracebacks too.
+    """
+    from rich.console import Console
+
+    from rlbench.checks.console import print_results
+
+    rows = []
+    for name, results in checked:
+        checks = print_results(results, Console(quiet=as_json), name, debug)
+        lines = [
+            {"check": c.check, "verdict": c.verdict.value, "found": c.found, "remedy": c.remedy}
+            for c in checks
+        ]
+        passed = all(each.verdict is not Verdict.FAILED for each in checks)
+        rows.append({"name": name, "passed": passed, "checks": lines})
+    if as_json:
+        print_json(ChecksOutput(all(row["passed"] for row in rows), rows))
+    return rows
 
 
 def as_json_text(answer: Any) -> str:

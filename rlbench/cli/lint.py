@@ -8,10 +8,8 @@ from typing import Annotated
 import typer
 
 from rlbench.cli import options
-from rlbench.cli.json_output import ChecksOutput, print_json
+from rlbench.cli.json_output import show_checks
 from rlbench.cli.options import file, flag, option
-
-__all__ = ["lint"]
 
 
 def lint(
@@ -47,12 +45,8 @@ def lint(
     from rlbench.checks.lint.checks import lint_clips
     from rlbench.clips.stored import find_all_clips
 
-    folders = find_all_clips(clips)
-    output = ChecksOutput() if as_json else None
-    has_passed = lint_clips(folders, figure, frames, output.add if output else None)
-    if output:
-        print_json(output)
-    raise typer.Exit(0 if has_passed else 1)
+    rows = show_checks(lint_clips(find_all_clips(clips), figure, frames), as_json)
+    raise typer.Exit(not all(row["passed"] for row in rows))
 
 
 def _write_guess(sources: list[Path], layout: Path) -> None:

@@ -10,8 +10,6 @@ from rlbench.cli import options
 from rlbench.cli.json_output import print_json
 from rlbench.cli.methods import load_plugins
 
-__all__ = ["list_", "print_installed"]
-
 Kind = Literal[
     "all", "methods", "metrics", "scenes", "reports", "pools", "presets", "profiles"
 ]  # those of `rlbench.benchmark.listing`

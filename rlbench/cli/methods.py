@@ -12,17 +12,6 @@ from rlbench.cli.arguments import WeightsChoice, split_names
 from rlbench.cli.verbosity import note
 from rlbench.errors import OptionError
 
-__all__ = [
-    "expand_methods",
-    "load_plugins",
-    "load_rows",
-    "plugin_words",
-    "pool_kinds",
-    "require_methods",
-    "trainable_methods",
-    "warn_without_networks",
-]
-
 ROWS = "Its rows get this reason; all others are done"  # of a method that cannot be imported
 
 

@@ -14,8 +14,6 @@ import typer
 from rlbench.cli.options import flag, option
 from rlbench.errors import OptionError
 
-__all__ = ["new"]
-
 TEMPLATES = Path(__file__).parent / "templates"
 PACKAGE = "package"  # folder of a template that gets the name of the package
 APPENDED = ("README.md", "pyproject.toml")  # files to which a later template adds a part

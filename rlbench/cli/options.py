@@ -51,6 +51,11 @@ def option(
     )
 
 
+def number(group: str | None, text: str, value: str, *names: str) -> Any:
+    """An option whose value is a number above 0."""
+    return option(group, text, *names, value=value, parse=arguments.parse_positive)
+
+
 def flag(group: str | None, name: str, text: str) -> Any:
     """An option without a value."""
     return option(group, text, name)
@@ -261,22 +266,16 @@ TrainSpp = Annotated[
 TrainBf16 = Annotated[bool, flag(TRAINING, "--bf16", "run the forward pass in bfloat16")]
 MaxGradNorm = Annotated[
     float,
-    option(
-        TRAINING,
-        "longer gradients are scaled down to this L2 norm",
-        value="NORM",
-        parse=arguments.parse_positive,
-    ),
+    number(TRAINING, "longer gradients are scaled down to this L2 norm", "NORM"),
 ]
 TrainSeed = Annotated[int, option(TRAINING, "of weights, sequences and budgets", "--seed")]
 Minutes = Annotated[
     float | None,
-    option(
+    number(
         TRAINING,
         "stop each training after this time, rendering of clips included, and a queue as a "
         "whole; the same command resumes it",
-        value="MINUTES",
-        parse=arguments.parse_positive,
+        "MINUTES",
     ),
 ]
 AllowConfigChange = Annotated[

@@ -24,8 +24,6 @@ if TYPE_CHECKING:
     from rlbench.benchmark.regression.comparison import RegressionReport, SpeedResult
     from rlbench.benchmark.regression.crops import Crops
 
-__all__ = ["regress", "select_baseline"]
-
 
 def regress(
     methods: options.RowMethods = None,

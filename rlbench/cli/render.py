@@ -13,20 +13,17 @@ from rlbench.cli.arguments import (
     PixelSize,
     Seeds,
     parse_definition,
-    parse_positive,
     parse_seeds,
     parse_size,
     split_names,
 )
-from rlbench.cli.options import CLIPS, flag, option
+from rlbench.cli.options import CLIPS, flag, number, option
 from rlbench.errors import OptionError
 
 if TYPE_CHECKING:
     from rlbench.parallel.executor import Executor
     from rlbench.render.presets import Preset
     from rlbench.render.user.clip import UserSceneOptions
-
-__all__ = ["render", "select_tracer"]
 
 OF_PRESETS = (
     "scenes", "takes", "radiance_cap", "buffers", "remeasure_sample_time", "digests"
@@ -94,12 +91,7 @@ def render(
     ray_address: options.RayAddress = None,
     exposure: Annotated[
         float | None,
-        option(
-            SCENE_FILE,
-            "maps radiance to display white at 1; default: estimated",
-            value="FACTOR",
-            parse=parse_positive,
-        ),
+        number(SCENE_FILE, "maps radiance to display white at 1; default: estimated", "FACTOR"),
     ] = None,
     skip_missing: Annotated[
         bool,
@@ -127,11 +119,10 @@ def render(
     takes: options.Takes = None,
     radiance_cap: Annotated[
         float | None,
-        option(
+        number(
             PRESET_SCENES,
             "scale brighter samples down to this multiple of display white",
-            value="RADIANCE",
-            parse=parse_positive,
+            "RADIANCE",
         ),
     ] = None,
     buffers: Annotated[
@@ -244,7 +235,7 @@ def _digest(folder: Path) -> str:
 
 def _remeasure(folder: Path) -> str:
     """Measure the times of a clip's tracer again; returns them as text, with the former one."""
-    from rlbench.clips.stored import read_header
+    from rlbench.clips.header import read_header
     from rlbench.render.jobs.render_clips import remeasure_sample_ms
 
     before_ms = read_header(folder).sample_ms

@@ -11,10 +11,10 @@ from typing import TYPE_CHECKING, Annotated, Literal
 import typer
 
 from rlbench.cli import options
-from rlbench.cli.arguments import parse_positive, split_names
+from rlbench.cli.arguments import split_names
 from rlbench.cli.json_output import ReportOutput, print_json
 from rlbench.cli.methods import load_plugins
-from rlbench.cli.options import MEASUREMENT, complete_names, folder, option
+from rlbench.cli.options import MEASUREMENT, complete_names, folder, number, option
 from rlbench.cli.selection import find_images, read_rows
 from rlbench.cli.verbosity import note
 from rlbench.errors import OptionError, RlbenchError
@@ -25,8 +25,6 @@ if TYPE_CHECKING:
     import pandas as pd
 
     from rlbench.benchmark.shown_clips import ShownClips
-
-__all__ = ["report"]
 
 
 def report(
@@ -44,11 +42,8 @@ def report(
     clips: options.Clips = None,
     spp: Annotated[
         float | None,
-        option(
-            MEASUREMENT,
-            "budget of reports that show images; default: that nearest to 1 spp",
-            value="SPP",
-            parse=parse_positive,
+        number(
+            MEASUREMENT, "budget of reports that show images; default: that nearest to 1 spp", "SPP"
         ),
     ] = None,
     against: Annotated[

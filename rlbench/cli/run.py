@@ -15,8 +15,6 @@ from rlbench.cli.verbosity import note
 from rlbench.errors import OptionError
 from rlbench.system.process_settings import wait_asleep
 
-__all__ = ["run"]
-
 FIRST_RUN = ("ours", "ntas", "oidn", "oidn/tuned", "mean")  # rows without --methods: make demo
 
 

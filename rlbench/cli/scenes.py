@@ -18,8 +18,6 @@ if TYPE_CHECKING:
     from rlbench.scenes.collection.catalog import CollectionScene
     from rlbench.scenes.collection.download import Fetched
 
-__all__ = ["scenes"]
-
 
 def _complete(incomplete: str) -> list[str]:
     from rlbench.scenes.collection.catalog import load_catalog

@@ -8,11 +8,9 @@ from typing import Annotated
 import typer
 
 from rlbench.cli import options
-from rlbench.cli.arguments import parse_positive, split_names
-from rlbench.cli.options import MEASUREMENT, flag, option
+from rlbench.cli.arguments import split_names
+from rlbench.cli.options import MEASUREMENT, flag, number, option
 from rlbench.errors import OptionError
-
-__all__ = ["score"]
 
 
 def score(
@@ -27,22 +25,16 @@ def score(
     ],
     spp: Annotated[
         float,
-        option(
-            MEASUREMENT,
-            "samples per pixel that each image was made of",
-            value="SPP",
-            parse=parse_positive,
-        ),
+        number(MEASUREMENT, "samples per pixel that each image was made of", "SPP"),
     ],
     clips: options.Clips = None,
     scenes: options.Scenes = None,
     ms: Annotated[
         float | None,
-        option(
+        number(
             MEASUREMENT,
             "claimed time of a frame without its samples; without it, no rank by time",
-            value="MS",
-            parse=parse_positive,
+            "MS",
         ),
     ] = None,
     device: Annotated[

@@ -17,8 +17,6 @@ if TYPE_CHECKING:
     from rlbench.benchmark.clip_sources import StoredSource
     from rlbench.benchmark.shown_clips import ShownClips
 
-__all__ = ["find_images", "find_sources", "nearest_to_one", "read_rows", "select_methods"]
-
 
 def read_rows(
     results: Path,

@@ -12,15 +12,12 @@ from rlbench.cli import options
 from rlbench.cli.arguments import (
     PixelSize,
     PixelSizes,
-    parse_positive,
     parse_sizes,
     split_names,
 )
 from rlbench.cli.methods import expand_methods, load_rows
-from rlbench.cli.options import MEASUREMENT, METHODS, file, flag, folder, option
+from rlbench.cli.options import MEASUREMENT, METHODS, file, flag, folder, number, option
 from rlbench.errors import OptionError
-
-__all__ = ["speed"]
 
 SIZES = PixelSizes((PixelSize((192, 192)), PixelSize((720, 720)), PixelSize((1080, 1920))))
 
@@ -57,11 +54,10 @@ def speed(
     ] = None,
     sample_ms: Annotated[
         float | None,
-        option(
+        number(
             MEASUREMENT,
             "for --as-cost: your renderer's time for one sample of every pixel of the first size",
-            value="MS",
-            parse=parse_positive,
+            "MS",
         ),
     ] = None,
 ) -> None:

@@ -12,8 +12,6 @@ from rlbench.cli.arguments import WeightsChoice, split_names
 from rlbench.cli.methods import load_rows
 from rlbench.cli.options import EXECUTION, flag, folder, option
 
-__all__ = ["stress"]
-
 
 def stress(
     context: typer.Context,

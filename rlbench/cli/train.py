@@ -24,8 +24,6 @@ if TYPE_CHECKING:
     from rlbench.training.loop import TrainingRuns
     from rlbench.training.task import TrainingConfig
 
-__all__ = ["QUICK_FRAMES", "train", "training_runs"]
-
 QUEUE = "Queue"  # title of a group of options
 QUICK_FRAMES = 600
 DEFAULT_MIX = 0.5
@@ -132,6 +130,16 @@ def train(
             min=0,
         ),
     ] = 0.0,
+    anneal: Annotated[
+        float,
+        option(
+            TRAINING,
+            "the learning rate rises and falls within these minutes of training, in place of "
+            "--frames; 0: within --frames",
+            value="MINUTES",
+            min=0,
+        ),
+    ] = 0.0,
     restart: Annotated[
         bool,
         flag(
@@ -215,6 +223,7 @@ def train(
         keep=keep,
         eval_interval=eval_interval,
         anchor=anchor,
+        anneal=anneal,
     )
     runs = training_runs(out, config, device, minutes, allow_config_change)
     runs = replace(runs, suffix=QUICK if quick else "", start=find_weights(start, out, names))

@@ -23,8 +23,6 @@ from rlbench.training import queue
 from rlbench.training.queue import Entry, QueueError, RowStatus, Training
 from rlbench.training.run_folder import QUICK, run_folder
 
-__all__ = ["has_options", "run_command"]
-
 # options of the command that belong to the whole queue, or would do the same again in each call
 OF_THE_QUEUE = ("methods", "queue", "status", "pause", "out", "minutes", "restart", "help")
 LOG_WIDTH = 160  # columns of the status where it is not written to a terminal
@@ -84,7 +82,7 @@ def _read_trainings(context: typer.Context) -> tuple[list[Training], int]:
         ready[entry.name] = _prepare(context, f"{file}, '{entry.name}'", entry, options, out)
     trainings = [ready[entry.name] for entry in content.entries]
     has_gpu = any(word.startswith("cuda") for each in trainings for word in each.words)
-    return trainings, 1 if has_gpu else content.at_once or os.cpu_count() or 1
+    return trainings, content.at_once or (1 if has_gpu else os.cpu_count() or 1)
 
 
 def _prepare(
@@ -145,7 +143,7 @@ def _print_status(status: Sequence[RowStatus], at_once: int) -> None:
         table.add_row(
             row.training.name,
             f"{row.state} for {', '.join(row.waits_for)}" if row.waits_for else row.state,
-            f"{row.run.frames_seen} of {row.training.frames}",
+            f"{row.run.frames_seen} of {row.run.frames or row.training.frames}",
             f"{row.run.speed:.2f}" if row.run.speed else "",
             "" if left is None else format_duration(left),
             ", ".join(f"{name} {psnr:.2f}" for name, psnr in row.run.validation.items()),
@@ -172,7 +170,8 @@ def _estimate_seconds(status: Sequence[RowStatus], at_once: int) -> float | None
     if not speeds or not left:
         return None
     seconds = [
-        max(row.training.frames - row.run.frames_seen, 0) / (row.run.speed or fmean(speeds))
+        max((row.run.frames or row.training.frames) - row.run.frames_seen, 0)
+        / (row.run.speed or fmean(speeds))
         for row in left
     ]
     return max(sum(seconds) / min(at_once, len(left)), *seconds)

@@ -10,8 +10,6 @@ import logging
 
 import typer
 
-__all__ = ["note", "set_verbosity"]
-
 LOGGER = logging.getLogger("rlbench")
 STEP = "%(asctime)s.%(msecs)03d %(name)s: %(message)s"
 

@@ -8,14 +8,12 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from rlbench.cli import options
-from rlbench.cli.arguments import Crop, parse_crop, parse_positive, split_names
-from rlbench.cli.options import OUTPUT, flag, folder, option
+from rlbench.cli.arguments import Crop, parse_crop, split_names
+from rlbench.cli.options import OUTPUT, flag, folder, number, option
 from rlbench.cli.selection import find_sources, nearest_to_one, read_rows, select_methods
 
 if TYPE_CHECKING:
     import pandas as pd
-
-__all__ = ["video"]
 
 PICTURE, PLAYBACK = "Picture", "Playback"  # titles of groups of options
 
@@ -71,7 +69,7 @@ def video(
     ] = None,
     fps: Annotated[
         float,
-        option(PLAYBACK, "frames of the clip in a second", value="FPS", parse=parse_positive),
+        number(PLAYBACK, "frames of the clip in a second", "FPS"),
     ] = 8.0,
     ping_pong: Annotated[bool, flag(PLAYBACK, "--ping-pong", "forwards, then backwards")] = False,
     repeat: Annotated[

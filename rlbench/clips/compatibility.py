@@ -6,8 +6,6 @@ from rlbench import registry
 from rlbench.clips.header import OPTIONAL_BUFFERS, Header
 from rlbench.family import Traits
 
-__all__ = ["compatibility_summary", "incompatibility"]
-
 
 def compatibility_summary(header: Header) -> str:
     """The budgets and the methods that can be measured on a clip, and why other methods cannot."""

@@ -17,13 +17,11 @@ from jaxtyping import Float32
 from numpy import ndarray as Array
 
 from rlbench.clips.exr import write_exr
-from rlbench.clips.header import STANDARD_BUFFERS, ClipError
+from rlbench.clips.header import STANDARD_BUFFERS, ClipError, read_header
 from rlbench.clips.pfm import write_pfm
-from rlbench.clips.stored import StoredClip, open_clip, read_header
+from rlbench.clips.stored import StoredClip, open_clip
 from rlbench.ops.color import encode_srgb
 from rlbench.system.documents import read_toml, write_toml
-
-__all__ = ["FORMATS", "ExportFormat", "export_clip"]
 
 RECORD = "export.toml"
 NRD_SKY, BLENDER_SKY = 1e5, 1e10  # depth of the background: INF of NRD-Sample, and of Cycles

@@ -10,8 +10,6 @@ from torch.nn import functional as F
 
 from rlbench.ops.color import REC709_LUMINANCE, luminance
 
-__all__ = ["area_luminance", "exposure_from_areas"]
-
 AREAS = 8  # along each side; luminance is averaged over them because samples are noisy
 GREY, WHITE = 0.18, 1.0  # display values of the log-average, and of the 95th percentile at most
 

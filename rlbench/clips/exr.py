@@ -22,20 +22,6 @@ from rlbench.clips.header import MAX_PIXELS, ClipError
 from rlbench.errors import RlbenchError
 from rlbench.system.paths import atomic_write, write_error
 
-__all__ = [
-    "Channel",
-    "DeepImageError",
-    "ExrHeader",
-    "ExrHeaderError",
-    "channel_dtype",
-    "read_exr",
-    "read_exr_header",
-    "read_exr_parts",
-    "read_planes",
-    "replace_channels",
-    "write_exr",
-]
-
 FLOATS: dict[str, type[np.floating]] = {"HALF": np.float16, "FLOAT": np.float32}
 DTYPES: dict[str, type[np.number]] = FLOATS | {"UINT": np.uint32}
 MAGIC, VERSION = b"v/1\x01", 2

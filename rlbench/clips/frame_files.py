@@ -12,20 +12,6 @@ from numpy.typing import NDArray
 from rlbench.clips.exr import write_exr
 from rlbench.clips.header import BUFFER_CHANNELS, ClipError, Header
 
-__all__ = [
-    "CHANNELS",
-    "channel_names",
-    "exceeds_float",
-    "exr_path",
-    "file_kinds",
-    "has_frame",
-    "image_names",
-    "is_no_reference",
-    "nonfinite_mask",
-    "write_frame",
-    "write_pool",
-]
-
 HALF_PREFIXES = ("albedo", "normal")  # buffers with these prefixes are stored as float16
 MAX_HALF = float(np.finfo(np.float16).max)
 MAX_FLOAT = float(np.finfo(np.float32).max)

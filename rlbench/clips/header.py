@@ -12,22 +12,6 @@ from typing import Any, NamedTuple
 from rlbench.errors import RlbenchError
 from rlbench.system.documents import decode, read_toml, write_toml
 
-__all__ = [
-    "OPTIONAL_BUFFERS",
-    "FILE",
-    "LIMITATIONS",
-    "LIMITS",
-    "MAX_PIXELS",
-    "VERSION",
-    "BUFFER_CHANNELS",
-    "ClipError",
-    "Header",
-    "is_plain_name",
-    "read_header",
-    "names_in_digests",
-    "write_header",
-]
-
 MAX_PIXELS = 2**26  # of an image: 8192 x 8192
 MAX_NAME_BYTES = 200  # of a name in UTF-8, so that it fits into a file name
 MAX_TEXT = 10_000  # characters of any other text

@@ -17,8 +17,6 @@ from numpy import ndarray as Array
 from rlbench.clips.header import MAX_PIXELS, ClipError
 from rlbench.system.paths import atomic_write
 
-__all__ = ["read_pfm", "write_pfm"]
-
 CHANNELS = {b"PF": 3, b"Pf": 1}
 HEADER = re.compile(rb"(PF|Pf)\s+(\d{1,9})\s+(\d{1,9})\s+(-?[\d.]{1,20}(?:[eE]-?\d+)?)\s")
 

@@ -17,26 +17,9 @@ from torch import Tensor
 
 from rlbench.clips.decode_cache import DecodeCache, decode_images
 from rlbench.clips.digest import clip_digest
-from rlbench.clips.frame_files import exr_path, file_kinds, has_frame, image_names, write_frame
-from rlbench.clips.header import FILE, ClipError, Header, read_header, write_header
-from rlbench.clips.in_memory import InMemoryClip
+from rlbench.clips.frame_files import exr_path, file_kinds, image_names
+from rlbench.clips.header import FILE, ClipError, Header, read_header
 from rlbench.frames import BUFFERS, Frame, GBuffer, Pool, Reference, Size, StoredPool
-
-__all__ = [
-    "ClipError",
-    "Header",
-    "InMemoryClip",
-    "StoredClip",
-    "find_all_clips",
-    "find_clips",
-    "has_frame",
-    "open_clip",
-    "read_header",
-    "sample_order",
-    "verify",
-    "write_frame",
-    "write_header",
-]
 
 MAX_FILES = 10_000  # that are looked at in a folder without a clip, so that the error comes at once
 FRAMES = (".exr", ".pfm", ".zip")  # files from which rlbench import makes clips

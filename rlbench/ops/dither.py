@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import torch
 from jaxtyping import Int
 from torch import Tensor
@@ -12,14 +14,18 @@ __all__ = ["ONE_SHARE", "hash_to_integer", "round_to_total"]
 SHARE_BITS = 32
 ONE_SHARE = 2**SHARE_BITS  # a share of one sample, as an integer
 FRACTION = ONE_SHARE - 1  # mask of a share's fractional part
+_graphs: dict[tuple[torch.Size, torch.device], _Graph] = {}  # by size, on GPUs
 THRESHOLD_BITS = 30  # threshold times fraction must stay below 2^63
 
 
-def round_to_total(shares: Int[Tensor, "h w"], total: int, seed: int) -> Int[Tensor, "h w"]:
-    """Whole counts that sum to `total`: each share rounded down or up, without bias.
+def round_to_total(
+    shares: Int[Tensor, "n h w"], total: int, seeds: Sequence[int]
+) -> Int[Tensor, "n h w"]:
+    """Whole counts that sum to `total` in each image: each share rounded down or up, without bias.
 
     `shares` are in units of 2^-32 (`ONE_SHARE` is one) and must sum to within one of `total`. A
-    share is rounded up with the probability of its fractional part, over seeds.
+    share is rounded up with the probability of its fractional part, over seeds; there is one seed
+    per image.
 
     The pivotal method of Deville and Tille 1998, with a fixed tournament over the image (spatially
     balanced sampling, as in Stevens and Olsen 2004): halves of the image are halved in turn, along
@@ -31,29 +37,67 @@ def round_to_total(shares: Int[Tensor, "h w"], total: int, seed: int) -> Int[Ten
 
     Integers only, so that the result is the same on every device.
 
-    >>> half = torch.full((2, 4), ONE_SHARE // 2)
-    >>> round_to_total(half, total=4, seed=0).sum(1).tolist()
-    [2, 2]
+    >>> half = torch.full((1, 2, 4), ONE_SHARE // 2)
+    >>> round_to_total(half, total=4, seeds=[0]).sum(2).tolist()
+    [[2, 2]]
     """
+    _, h, w = shares.shape
+    levels = (h - 1).bit_length() + (w - 1).bit_length()
+    hashes = [[hash_to_integer(seed, level) for seed in seeds] for level in range(levels)]
+    thresholds = torch.tensor(hashes, dtype=torch.int64, device=shares.device)
+    thresholds = thresholds.view(levels, len(seeds), 1, 1)
+    totals = torch.full((len(seeds), 1, 1), total, device=shares.device)
+    inputs = (shares, totals, thresholds)
+    if not shares.is_cuda:
+        return _divide_all(*inputs)
+    if (key := (shares.shape, shares.device)) not in _graphs:
+        _graphs[key] = _Graph(*inputs)
+    return _graphs[key](*inputs)
+
+
+def _divide_all(shares: Tensor, totals: Tensor, thresholds: Tensor) -> Tensor:
+    """The counts of all pixels, from the totals [n 1 1] and a threshold per level [level n 1 1]."""
     levels = [shares]
-    while levels[-1].numel() > 1:
+    while levels[-1][0].numel() > 1:
         levels.append(_add_pairs(levels[-1]))
-    counts = torch.full_like(levels.pop(), total)
-    for level, parts in reversed(list(enumerate(levels))):
-        counts = _divide(counts, parts, hash_to_integer(seed, level))
+    counts = totals
+    for parts, threshold in zip(levels[-2::-1], reversed(thresholds), strict=True):
+        counts = _divide(counts, parts, threshold)
     return counts
+
+
+class _Graph:
+    """`_divide_all` for one size as one launch: its hundreds of small steps keep a GPU waiting."""
+
+    def __init__(self, *inputs: Tensor) -> None:
+        """Record the steps for inputs of these shapes."""
+        self.graph = torch.cuda.CUDAGraph()
+        with torch.inference_mode(False):  # so that it can be used in both modes
+            self.inputs = [each.clone() for each in inputs]
+            _divide_all(*self.inputs)  # what happens on first use alone must not be recorded
+            torch.cuda.synchronize()
+            # another thread may read clips meanwhile
+            with torch.cuda.graph(self.graph, capture_error_mode="thread_local"):
+                self.output = _divide_all(*self.inputs)
+
+    def __call__(self, *inputs: Tensor) -> Tensor:
+        """The counts."""
+        for own, given in zip(self.inputs, inputs, strict=True):
+            own.copy_(given)
+        self.graph.replay()
+        return self.output.clone()
 
 
 def _axis(parts: Tensor) -> int:
     """The axis along which parts are paired: the longer one, rows before columns."""
-    return 1 if parts.shape[1] >= parts.shape[0] else 0
+    return 2 if parts.shape[2] >= parts.shape[1] else 1
 
 
 def _pairs(parts: Tensor) -> tuple[Tensor, Tensor]:
     """The first and the second part of each pair; the second of an odd one out is zero."""
     axis = _axis(parts)
     if parts.shape[axis] % 2:
-        parts = F.pad(parts, (0, 1) if axis == 1 else (0, 0, 0, 1))
+        parts = F.pad(parts, (0, 1) if axis == 2 else (0, 0, 0, 1))
     sides = (*parts.shape[:axis], -1, 2, *parts.shape[axis + 1 :])
     first, second = parts.reshape(sides).unbind(axis + 1)
     return first, second
@@ -64,7 +108,7 @@ def _add_pairs(parts: Tensor) -> Tensor:
     return first + second
 
 
-def _divide(counts: Tensor, parts: Tensor, threshold: int) -> Tensor:
+def _divide(counts: Tensor, parts: Tensor, threshold: Tensor) -> Tensor:
     """The counts of both parts of each pair, whose sum is in `counts`.
 
     Let a and b be the fractional parts, and `rest` the samples beyond both shares rounded down: 0
@@ -79,18 +123,18 @@ def _divide(counts: Tensor, parts: Tensor, threshold: int) -> Tensor:
     is_small = both < ONE_SHARE
     favourable = torch.where(is_small, a, ONE_SHARE - b)
     possible = torch.where(is_small, both, 2 * ONE_SHARE - both)
-    wins = _alternate(threshold, counts, 1 - axis) * possible < favourable << THRESHOLD_BITS
+    wins = _alternate(threshold, counts, 3 - axis) * possible < favourable << THRESHOLD_BITS
     up = (rest > 1) | ((rest == 1) & wins)
     first_counts = (first >> SHARE_BITS) + up
     divided = torch.stack((first_counts, counts - first_counts), axis + 1)
     return divided.flatten(axis, axis + 1).narrow(axis, 0, parts.shape[axis])
 
 
-def _alternate(threshold: int, counts: Tensor, axis: int) -> Tensor:
+def _alternate(threshold: Tensor, counts: Tensor, axis: int) -> Tensor:
     """The threshold, and its complement in every second line along `axis`."""
     line = torch.arange(counts.shape[axis], device=counts.device) % 2
-    values = torch.where(line == 0, threshold, 2**THRESHOLD_BITS - 1 - threshold)
-    return values[:, None] if axis == 0 else values
+    line = line[:, None] if axis == 1 else line
+    return torch.where(line == 0, threshold, 2**THRESHOLD_BITS - 1 - threshold)
 
 
 def hash_to_integer(seed: int, level: int) -> int:

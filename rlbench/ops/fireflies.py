@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 
 import torch
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Float, Int
 from torch import Tensor
 from torch.nn import functional as F
 
@@ -59,7 +59,7 @@ def limit_fireflies(
 def _limit(radiance: Tensor, counts: Tensor) -> tuple[Tensor, Tensor]:
     """`limit_fireflies`, and the mean of each pixel's limited samples."""
     known = counts > 0
-    radii = [_window_radius(image) for image in known]
+    radii = [_window_radius(share) for share in known.float().mean((1, 2, 3)).tolist()]
     if len(set(radii)) > 1:
         images = [_limit(radiance[i : i + 1], counts[i : i + 1]) for i in range(len(radii))]
         return torch.cat([each for each, _ in images]), torch.cat([each for _, each in images])
@@ -141,10 +141,9 @@ def _mean(radiance: Tensor, counts: Tensor) -> Tensor:
     return radiance.sum(1) / counts.clamp_min(1)
 
 
-def _window_radius(known: Bool[Tensor, "1 h w"]) -> int:
+def _window_radius(known_share: float) -> int:
     """The radius of a window with as many samples as one of RADIUS in a full image has."""
-    share = max(float(known.float().mean()), (RADIUS / MAX_RADIUS) ** 2)
-    return round(RADIUS / math.sqrt(share))
+    return round(RADIUS / math.sqrt(max(known_share, (RADIUS / MAX_RADIUS) ** 2)))
 
 
 def _max_of_neighbours(

@@ -117,6 +117,8 @@ class _SplatKernels(torch.autograd.Function):
 def _gather(kernels: Tensor, padded: Tensor, stride: int = 1) -> Tensor:
     """Sum over taps of the kernel times the shifted image."""
     n, _, h, w = kernels.shape
+    if _prefers_few_steps(padded):
+        return (kernels[:, None] * _windows(padded, kernels, stride)).sum(2)
     total = padded.new_zeros(n, padded.shape[1], h, w)
     for tap, shifted in _shifts(padded, kernels, stride):
         total.addcmul_(kernels[:, tap, None], shifted)
@@ -124,7 +126,11 @@ def _gather(kernels: Tensor, padded: Tensor, stride: int = 1) -> Tensor:
 
 
 def _scatter(kernels: Tensor, image: Tensor, canvas: Tensor, stride: int = 1) -> Tensor:
-    """Add kernel times image to the shifted canvas, in place, tap by tap; returns the canvas."""
+    """The canvas and, shifted, kernel times image; on a CPU added in place, tap by tap."""
+    if _prefers_few_steps(image):
+        spread = (kernels[:, None] * image[:, :, None]).flatten(1, 2).flatten(2)
+        side = math.isqrt(kernels.shape[1])
+        return canvas + F.fold(spread, canvas.shape[-2:], side, stride=stride)
     for tap, shifted in _shifts(canvas, kernels, stride):
         shifted.addcmul_(kernels[:, tap, None], image)
     return canvas
@@ -132,10 +138,25 @@ def _scatter(kernels: Tensor, image: Tensor, canvas: Tensor, stride: int = 1) ->
 
 def _kernel_gradient(kernels: Tensor, image: Tensor, padded: Tensor, stride: int = 1) -> Tensor:
     """For each tap the product of the image and the shifted padded image, summed over channels."""
+    if _prefers_few_steps(image):
+        return (image[:, :, None] * _windows(padded, kernels, stride)).sum(1)
     gradient = torch.empty_like(kernels)
     for tap, shifted in _shifts(padded, kernels, stride):
         torch.sum(image * shifted, 1, out=gradient[:, tap])
     return gradient
+
+
+def _prefers_few_steps(image: Tensor) -> bool:
+    """Whether all taps go at once, in much memory: a step costs a GPU more than its arithmetic."""
+    return image.is_cuda
+
+
+def _windows(padded: Tensor, kernels: Tensor, stride: int) -> Float[Tensor, "n c taps h w"]:
+    """The view of the padded image that each tap reads."""
+    _, taps, h, w = kernels.shape
+    side = math.isqrt(taps)
+    windows = padded.unfold(2, side, stride).unfold(3, side, stride)[:, :, :h, :w]
+    return windows.permute(0, 1, 4, 5, 2, 3).flatten(2, 3)
 
 
 def _shifts(padded: Tensor, kernels: Tensor, stride: int) -> Iterator[tuple[int, Tensor]]:

@@ -12,22 +12,6 @@ from rlbench.errors import RlbenchError
 from rlbench.registry.failure import keep_frames
 from rlbench.registry.plugin_code import exits_as_errors
 
-__all__ = [
-    "LOCAL",
-    "ONE_CPU",
-    "Executor",
-    "ExecutorError",
-    "JobResult",
-    "LocalExecutor",
-    "ProgressCallback",
-    "Resources",
-    "Work",
-    "ignore_progress",
-    "OutOfTimeError",
-    "TimeLimit",
-    "TimeLimitedExecutor",
-]
-
 J = TypeVar("J")
 R = TypeVar("R")
 J_in = TypeVar("J_in", contravariant=True)

@@ -33,8 +33,6 @@ from rlbench.parallel.executor import (
 from rlbench.registry import exits_as_errors, plugin_files, use_plugin
 from rlbench.registry.failure import keep_frames
 
-__all__ = ["ProcessExecutor"]
-
 _work: list[Any] = []  # of this worker process
 
 

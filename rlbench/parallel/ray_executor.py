@@ -10,7 +10,6 @@ from __future__ import annotations
 
 import contextlib
 import importlib
-import logging
 import os
 import platform
 import sys
@@ -38,6 +37,15 @@ from rlbench.parallel.executor import (
     Work,
     ignore_progress,
 )
+from rlbench.parallel.ray_cluster import (
+    MAX_RETRIES,
+    ClusterLostError,
+    ClusterWatch,
+    import_ray,
+    list_machines,
+    start_ray,
+    stop_ray,
+)
 from rlbench.registry import (
     GROUPS,
     clear_plugins,
@@ -49,20 +57,9 @@ from rlbench.registry import (
 from rlbench.registry.failure import keep_frames
 from rlbench.system import code_hash, provenance
 
-__all__ = ["EXECUTORS", "QUIET_ENVIRONMENT", "RayExecutor", "WorkerEnvironment", "open_executor"]
-
 EXECUTORS = ("local", "ray")
+LOOK_SECONDS = 2.0  # at most, between two looks at the machines of the cluster
 JOBS_PER_SLOT = 2  # submitted for each that can run, so that no worker waits for this process
-MAX_RETRIES = 3  # of a job whose worker died
-QUIET_ENVIRONMENT = {
-    "RAY_USAGE_STATS_ENABLED": "0",  # by default Ray reports usage statistics
-    "RAY_USAGE_STATS_PROMPT_ENABLED": "0",
-    "RAY_ENABLE_UV_RUN_RUNTIME_ENV": "0",  # else `uv run` packs and sends the working directory
-    "RAY_ACCEL_ENV_VAR_OVERRIDE_ON_ZERO": "0",  # else Ray warns that this will be the default
-    "RAY_enable_metrics_collection": "0",
-    "RAY_worker_niceness": "0",  # times are measured at normal priority
-    "RAY_task_oom_retries": str(MAX_RETRIES),  # by default Ray retries without end
-}
 PREFIX = "RLBENCH_"  # of the environment variables that a worker takes over
 THREADS = f"{PREFIX}THREADS"  # of the path tracer
 
@@ -110,8 +107,8 @@ class RayExecutor:
     @property
     def description(self) -> str:
         """Number of machines and processors of the cluster."""
-        _start_ray(self.address)
-        machines = _list_machines()
+        start_ray(self.address)
+        machines = list_machines()
         cpus = sum(int(resources["CPU"]) for resources in machines.values())
         location = "this machine" if len(machines) == 1 else f"{len(machines)} machines"
         return f"Ray on {location} with {cpus} processors"
@@ -122,7 +119,7 @@ class RayExecutor:
 
     def close(self) -> None:
         """Stop the Ray started here, or leave the cluster joined."""
-        _stop_ray()
+        stop_ray()
 
     def map(
         self,
@@ -131,28 +128,36 @@ class RayExecutor:
         resources: Resources = ONE_CPU,
         on_progress: ProgressCallback = ignore_progress,
     ) -> Iterator[JobResult[J, R]]:
-        """Apply `work` to every job; yields one result for each, in the order of completion."""
+        """Apply `work` to every job; yields one result for each, in the order of completion.
+
+        Raises ClusterLostError where the cluster itself is gone.
+        """
         if not jobs:
             return
         ray = import_ray()
-        _start_ray(self.address)
+        start_ray(self.address)
         submit, limit = self._submitter(work, resources)
         queue = list(reversed(jobs))
         pending: dict[Any, J] = {}  # jobs by Ray's references to their replies
+        watch = ClusterWatch()
         try:
             while queue or pending:
                 while queue and len(pending) < limit:
                     job = queue.pop()
                     pending[submit(job)] = job
-                (reference,), _ = ray.wait(list(pending))
-                job = pending.pop(reference)
-                try:
-                    reply = ray.get(reference)
-                except ray.exceptions.RayError as error:
-                    yield JobResult(job, error=self._lost(error))
-                else:
-                    on_progress(reply.progress)
-                    yield JobResult(job, reply.value, reply.error)
+                finished, _ = ray.wait(list(pending), timeout=LOOK_SECONDS)
+                watch.look()
+                for reference in finished:
+                    yield self._result(pending[reference], reference, on_progress)
+                    del pending[reference]
+        except (ClusterLostError, ray.exceptions.LocalRayletDiedError) as error:
+            left = len(queue) + len(pending)
+            raise ClusterLostError(
+                f"the Ray cluster {f'at {self.address}' if self.address else 'here'} is lost: "
+                f"{len(jobs) - left} of {len(jobs)} jobs are finished and kept, {left} are not. "
+                f"{'Start Ray there again, and repeat' if self.address else 'Repeat'} the command: "
+                "it continues"
+            ) from error
         finally:
             for reference in pending:
                 ray.cancel(reference, force=True)
@@ -160,7 +165,7 @@ class RayExecutor:
     def _submitter(self, work: Work[J, R], resources: Resources) -> tuple[Callable[[J], Any], int]:
         """A function that submits a job, and the number of jobs that may be pending."""
         ray = import_ray()
-        machines = _list_machines()
+        machines = list_machines()
         if resources.gpus and not any(m.get("GPU", 0) >= resources.gpus for m in machines.values()):
             raise ExecutorError(
                 f"a job takes {resources.gpus} GPU, and no machine of the Ray cluster has as many"
@@ -192,6 +197,18 @@ class RayExecutor:
         cpus = min(resources.cpus, *available)
         return cpus, JOBS_PER_SLOT * sum(count // cpus for count in available), "SPREAD"
 
+    def _result(self, job: J, reference: Any, on_progress: ProgressCallback) -> JobResult[J, R]:
+        """The result of a job that has ended. Raises LocalRayletDiedError of Ray."""
+        ray = import_ray()
+        try:
+            reply = ray.get(reference)
+        except ray.exceptions.LocalRayletDiedError:
+            raise
+        except ray.exceptions.RayError as error:
+            return JobResult(job, error=self._lost(error))
+        on_progress(reply.progress)
+        return JobResult(job, reply.value, reply.error)
+
     def _lost(self, error: Exception) -> ExecutorError:
         """The error of a job without a reply: its workers died, or it could not be sent."""
         lines = str(error).strip().splitlines() or [""]
@@ -218,58 +235,6 @@ def _run_job(bundle: list[Any], name: str, job: bytes) -> JobReply:
     return reply
 
 
-def _start_ray(address: str | None) -> None:
-    """Join the cluster at `address`, or start Ray on this machine; does nothing the second time.
-
-    Raises ExecutorError.
-    """
-    ray = import_ray()
-    if ray.is_initialized():
-        return
-    local_only = {} if address else {"num_cpus": provenance.machine().cores}
-    try:
-        ray.init(
-            address=address or "local",
-            include_dashboard=None if address else False,
-            log_to_driver=False,
-            logging_level=logging.ERROR,
-            **local_only,
-        )
-    except Exception as error:  # Ray raises plain exceptions too, for example on a busy machine
-        failure = f"no Ray cluster at {address}" if address else "Ray did not start"
-        reason = (str(error).splitlines() or [""])[0]
-        raise ExecutorError(f"{failure}: {type(error).__name__}: {reason}") from error
-
-
-def _stop_ray() -> None:
-    """Stop the Ray started here, or leave the cluster joined."""
-    ray = import_ray()
-    if ray.is_initialized():
-        with contextlib.redirect_stdout(sys.stderr):  # stdout is for results
-            ray.shutdown()
-
-
-def import_ray() -> Any:
-    """The module `ray`; its environment variables must be set before it is imported."""
-    os.environ.update(QUIET_ENVIRONMENT)
-    try:
-        return importlib.import_module("ray")
-    except ImportError as error:
-        raise ExecutorError(
-            f'--engine ray needs Ray, which is not installed ({error}): pip install "rlbench[ray]"'
-        ) from error
-
-
-def _list_machines() -> dict[str, dict[str, float]]:
-    """Resources of the machines that have processors, by Ray's ids. Raises ExecutorError."""
-    nodes = [node for node in import_ray().nodes() if node["Alive"]]
-    resources = {node["NodeID"]: node["Resources"] for node in nodes}
-    usable = {name: machine for name, machine in resources.items() if machine.get("CPU", 0) >= 1}
-    if not usable:
-        raise ExecutorError(f"none of the {len(nodes)} machines of the Ray cluster has processors")
-    return usable
-
-
 def _worker_deaths() -> tuple[type[Exception], ...]:
     """Ray's errors for a worker that died, so that another one may succeed."""
     errors = import_ray().exceptions
@@ -278,7 +243,6 @@ def _worker_deaths() -> tuple[type[Exception], ...]:
         errors.OutOfMemoryError,
         errors.NodeDiedError,
         errors.ObjectLostError,
-        errors.LocalRayletDiedError,
     )
 
 

@@ -39,16 +39,6 @@ from rlbench.registry.plugin_files import (
     python_file,
 )
 
-__all__ = [
-    "GROUPS",
-    "METHODS_VARIABLE",
-    "list_entries",
-    "installed_entries",
-    "module_file",
-    "plugin_file_error",
-    "resolve",
-]
-
 GROUPS = (
     "methods", "metrics", "reports", "image_reports", "pools", "scenes", "stress",
 )  # fmt: skip

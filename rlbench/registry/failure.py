@@ -10,8 +10,6 @@ import traceback
 from collections.abc import Callable
 from pathlib import Path
 
-__all__ = ["describe_failure", "keep_frames", "point_at"]
-
 OURS = Path(__file__).parents[1]
 PACKAGES = "site-packages"  # of an environment that lies beside a plugin
 FRAMES = "rlbench_frames"  # attribute of an error that comes from another process

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from rlbench.errors import PluginError
 from rlbench.family import Family, Traits, Variant
@@ -15,18 +15,8 @@ from rlbench.registry.plugin_code import exits_as_errors
 from rlbench.registry.plugin_files import PluginEntry
 from rlbench.registry.stand_ins import find_stand_in
 
-__all__ = [
-    "find_method",
-    "failure_reason",
-    "load_family",
-    "import_error",
-    "load_plugin",
-    "load_or_explain",
-    "load_metrics",
-    "load_run_metrics",
-    "list_plugins",
-    "get_variant",
-]
+if TYPE_CHECKING:
+    from metrics.metric import Metric
 
 
 def list_plugins(group: str) -> list[str]:
@@ -128,12 +118,12 @@ def get_variant(name: str) -> Variant:
     return find_method(name)[1]
 
 
-def load_run_metrics() -> dict[str, Any]:
+def load_run_metrics() -> dict[str, Metric]:
     """The metrics that `rlbench run` scores, by name. Raises PluginError as `load_metrics` does."""
     return {name: metric for name, metric in load_metrics().items() if metric.scored_by_run}
 
 
-def load_metrics() -> dict[str, Any]:
+def load_metrics() -> dict[str, Metric]:
     """All metrics by name. Raises PluginError for a metric that cannot be imported."""
     return {name: load_or_explain("metrics", name) for name in list_plugins("metrics")}
 

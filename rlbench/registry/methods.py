@@ -27,18 +27,6 @@ if TYPE_CHECKING:
 
     from rlbench.method import Method
 
-__all__ = [
-    "expand",
-    "is_trainable",
-    "load_method",
-    "method_code_hash",
-    "metrics_code_hash",
-    "shipped_weights",
-    "training_task",
-    "untrainable_reason",
-    "with_broken",
-]
-
 MEMBERS = ("traits", "start", "plan", "denoise")  # of a Method
 
 

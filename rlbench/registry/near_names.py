@@ -5,8 +5,6 @@ from __future__ import annotations
 import difflib
 from collections.abc import Iterable
 
-__all__ = ["suggest", "unknown_name"]
-
 SHORT_LIST = 8  # names that are all listed beside the nearest one
 
 

@@ -15,8 +15,6 @@ from typing import Any
 
 from rlbench.errors import RlbenchError
 
-__all__ = ["PluginExitError", "exits_as_errors"]
-
 
 class PluginExitError(RlbenchError, RuntimeError):
     """Code of a plugin that tried to end the program."""

@@ -16,19 +16,6 @@ from rlbench.errors import PluginError
 from rlbench.registry.failure import describe_failure
 from rlbench.registry.plugin_code import exits_as_errors
 
-__all__ = [
-    "PluginEntry",
-    "clear_plugins",
-    "file_entries",
-    "import_file",
-    "metric_entries",
-    "plugin_file",
-    "plugin_file_methods",
-    "plugin_files",
-    "python_file",
-    "use_plugin",
-]
-
 INIT = "__init__.py"
 _files: dict[str, Path] = {}  # plugin files by the name of their module, in the order given
 

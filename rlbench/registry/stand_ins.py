@@ -8,8 +8,6 @@ from contextlib import contextmanager
 from rlbench.errors import PluginError
 from rlbench.family import Family, Traits, Variant
 
-__all__ = ["find_stand_in", "import_failure", "stand_ins"]
-
 _families: dict[str, Family] = {}
 _reasons: dict[str, str] = {}
 

@@ -10,8 +10,6 @@ import numpy as np
 
 from rlbench.render.scene import Pose, Scene
 
-__all__ = ["RENDERER_VERSION", "fingerprint"]
-
 RENDERER_VERSION = 2  # raised whenever the tracer renders different pixels for the same scene
 
 

@@ -12,20 +12,6 @@ from rlbench.clips.header import OPTIONAL_BUFFERS
 from rlbench.errors import RlbenchError
 from rlbench.registry.near_names import unknown_name
 
-__all__ = [
-    "GENERATORS",
-    "PRESETS",
-    "TEST_SCENES",
-    "Preset",
-    "PresetError",
-    "PresetUse",
-    "TakeSelection",
-    "UnknownPresetError",
-    "get_preset",
-    "is_clip_for",
-    "is_test_split",
-]
-
 TEST_SCENES = ("city", "temple", "hall", "ripples")
 # scenes by others: the scene's own camera, then random paths by seed
 REAL = tuple(
@@ -46,11 +32,7 @@ TRAIN_REAL = tuple(
     for seed in range(paths)
 )
 PATH_AND_RESTIR = ("path", "restir")  # entry points in the group rlbench.pools
-GENERATORS = (
-    "generated",
-    "eventful",
-    "hard",
-)  # scene entry points that take a seed; clips <name>-<seed>
+GENERATORS = ("generated", "eventful", "hard")  # scenes that take a seed; clips <name>-<seed>
 TakeSelection = Literal["main", "all"]
 PresetUse = Literal["train", "decide", "report"]
 
@@ -83,13 +65,11 @@ class Preset:
     takes: TakeSelection = "main"  # clips per scene: the main one, or one for each take as well
     pool_spp: int = 8  # stored 1-spp images per frame
     radiance_cap: float = math.inf  # upper bound of each sample, in display whites
-    min_noise_ceiling_db: float = (
-        math.inf
-    )  # PSNR: more rounds follow until the reference reaches it
+    # PSNR: more rounds of the reference follow until it is reached
+    min_noise_ceiling_db: float = math.inf
     max_reference_rounds: int = 1
-    pools: tuple[str, ...] = (
-        "path",
-    )  # others come from plugins, where this machine can trace them
+    # others come from plugins, where this machine can trace them
+    pools: tuple[str, ...] = ("path",)
     extra_buffers: tuple[str, ...] = ()  # G-buffer channels beside those that every clip has
 
     @property
@@ -103,13 +83,11 @@ class Preset:
         return (*self.scenes, *(f"{self.generator}-{seed:03d}" for seed in self.seeds))
 
     @property
-    def paths_per_clip(self) -> int:
-        """Upper bound of light paths per clip; two CPU cores trace about a million a second."""
-        return self.frames * self.paths_per_frame
-
-    @property
     def paths_per_frame(self) -> int:
-        """Upper bound of light paths per frame: the pool and all rounds of both halves."""
+        """Upper bound of light paths per frame: the pool and all rounds of both halves.
+
+        Two CPU cores trace about a million a second.
+        """
         spp = self.pool_spp + 2 * self.reference_spp * self.max_reference_rounds
         return self.size[0] * self.size[1] * spp
 
@@ -152,143 +130,50 @@ class Preset:
         return replace(self, pools=tuple(p for p in self.pools if p == "path" or p in kinds))
 
 
-PRESETS = {
-    preset.name: preset
-    for preset in (
-        Preset("tiny", "tests", (96, 96), 4, 16, ("temple", "city"), pools=PATH_AND_RESTIR),
-        Preset(
-            "mini",
-            "the first command: about 4 minutes on two cores",
-            (192, 192),
-            8,
-            64,
-            pools=PATH_AND_RESTIR,
-        ),
-        # a ceiling of 33 dB changes a score of 23 dB by 0.4 dB for all methods, not mse_debiased
-        Preset(
-            "standard",
-            "a workstation: all takes",
-            (256, 256),
-            20,
-            32,
-            takes="all",
-            min_noise_ceiling_db=33.0,
-            max_reference_rounds=12,
-            pools=PATH_AND_RESTIR,
-        ),
-        Preset(
-            "takes",
-            "static cameras, cuts, switched lights: all takes, in half an hour on two cores",
-            (160, 160),
-            20,
-            32,
-            takes="all",
-            min_noise_ceiling_db=30.0,
-            max_reference_rounds=4,
-            pools=PATH_AND_RESTIR,
-        ),
-        # main takes only, as in the paper: a clip has 10^10 paths, three hours on two cores
-        Preset("paper", "the paper's protocol: 1000 spp references", (720, 720), 20, 500),
-        Preset(
-            "train",
-            "training: generated scenes",
-            (160, 160),
-            5,
-            64,
-            (),
-            tuple(range(28)),
-            uses=("train", "decide"),
-            pools=PATH_AND_RESTIR,
-        ),
-        # halves of 32 spp: a noise ceiling of 33 dB, for 150 scenes in the time of 50
-        Preset(
-            "train-eventful",
-            "training: many generated scenes with switched lights, cuts and fast motion",
-            (128, 128),
-            12,
-            32,
-            (),
-            tuple(range(128, 278)),
-            generator="eventful",
-            uses=("train", "decide"),
-        ),
-        Preset(
-            "train-hard",
-            "training: furnished interiors with indirect light, small lamps, metals and glass",
-            (160, 160),
-            8,
-            32,
-            (),
-            tuple(range(1000, 1120)),
-            generator="hard",
-            uses=("train",),
-            min_noise_ceiling_db=32.0,
-            max_reference_rounds=4,
-        ),
-        Preset(
-            "development",
-            "decisions while developing: generated scenes, neither trained on nor reported",
-            (160, 160),
-            5,
-            64,
-            (),
-            tuple(range(40, 56)),
-            uses=("decide",),
-        ),
-        Preset(
-            "real",
-            "scenes by others, complete: reported, never decided on (rlbench scenes)",
-            (192, 192),
-            8,
-            32,
-            REAL,
-            min_noise_ceiling_db=31.0,
-            max_reference_rounds=8,
-        ),
-        Preset(
-            "real-check",
-            "further scenes by others, for a last check",
-            (192, 192),
-            8,
-            32,
-            REAL_CHECK,
-            min_noise_ceiling_db=31.0,
-            max_reference_rounds=8,
-        ),
-        # of the scenes of these two presets, files may be missing
-        Preset(
-            "real-development",
-            "decisions: random paths in scenes by others (rlbench scenes)",
-            (160, 160),
-            8,
-            32,
-            REAL_DEVELOPMENT,
-            min_noise_ceiling_db=29.0,
-            max_reference_rounds=4,
-            uses=("decide",),
-        ),
-        Preset(
-            "train-real",
-            "training: random paths in scenes by others",
-            (160, 160),
-            8,
-            32,
-            TRAIN_REAL,
-            min_noise_ceiling_db=29.0,
-            max_reference_rounds=2,
-            uses=("train",),
-        ),
-        Preset(
-            "unseen",
-            "many clips, so that small differences show: generated scenes kept from training",
-            (160, 160),
-            5,
-            64,
-            (),
-            tuple(range(400, 448)),
-        ),
-    )
-}
+# fmt: off
+_ROWS = (
+    Preset("tiny", "tests", (96, 96), 4, 16, ("temple", "city"), pools=PATH_AND_RESTIR),
+    Preset("mini", "the first command: about 4 minutes on two cores",
+           (192, 192), 8, 64, pools=PATH_AND_RESTIR),
+    # a ceiling of 33 dB changes a score of 23 dB by 0.4 dB for all methods, not mse_debiased
+    Preset("standard", "a workstation: all takes", (256, 256), 20, 32, takes="all",
+           min_noise_ceiling_db=33.0, max_reference_rounds=12, pools=PATH_AND_RESTIR),
+    Preset("takes",
+           "static cameras, cuts, switched lights: all takes, in half an hour on two cores",
+           (160, 160), 20, 32, takes="all",
+           min_noise_ceiling_db=30.0, max_reference_rounds=4, pools=PATH_AND_RESTIR),
+    # main takes only, as in the paper: a clip has 10^10 paths, three hours on two cores
+    Preset("paper", "the paper's protocol: 1000 spp references", (720, 720), 20, 500),
+    Preset("train", "training: generated scenes", (160, 160), 5, 64, (), tuple(range(28)),
+           uses=("train", "decide"), pools=PATH_AND_RESTIR),
+    # halves of 32 spp: a noise ceiling of 33 dB, for 150 scenes in the time of 50
+    Preset("train-eventful",
+           "training: many generated scenes with switched lights, cuts and fast motion",
+           (128, 128), 12, 32, (), tuple(range(128, 278)), "eventful", ("train", "decide")),
+    Preset("train-hard",
+           "training: furnished interiors with indirect light, small lamps, metals and glass",
+           (160, 160), 8, 32, (), tuple(range(1000, 1120)), "hard", ("train",),
+           min_noise_ceiling_db=32.0, max_reference_rounds=4),
+    Preset("development",
+           "decisions while developing: generated scenes, neither trained on nor reported",
+           (160, 160), 5, 64, (), tuple(range(40, 56)), uses=("decide",)),
+    Preset("real", "scenes by others, complete: reported, never decided on (rlbench scenes)",
+           (192, 192), 8, 32, REAL, min_noise_ceiling_db=31.0, max_reference_rounds=8),
+    Preset("real-check", "further scenes by others, for a last check",
+           (192, 192), 8, 32, REAL_CHECK, min_noise_ceiling_db=31.0, max_reference_rounds=8),
+    # of the scenes of these two presets, files may be missing
+    Preset("real-development", "decisions: random paths in scenes by others (rlbench scenes)",
+           (160, 160), 8, 32, REAL_DEVELOPMENT, uses=("decide",),
+           min_noise_ceiling_db=29.0, max_reference_rounds=4),
+    Preset("train-real", "training: random paths in scenes by others",
+           (160, 160), 8, 32, TRAIN_REAL, uses=("train",),
+           min_noise_ceiling_db=29.0, max_reference_rounds=2),
+    Preset("unseen",
+           "many clips, so that small differences show: generated scenes kept from training",
+           (160, 160), 5, 64, (), tuple(range(400, 448))),
+)
+# fmt: on
+PRESETS = {preset.name: preset for preset in _ROWS}
 
 
 def is_test_split(preset: str) -> bool:

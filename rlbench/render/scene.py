@@ -19,19 +19,6 @@ from numpy.typing import NDArray
 
 from rlbench.errors import RlbenchError
 
-__all__ = [
-    "Camera",
-    "MIN_DEPTH",
-    "Mesh",
-    "MitsubaDict",
-    "Pose",
-    "Scene",
-    "SceneError",
-    "Take",
-    "Vertices",
-    "XmlFile",
-]
-
 Vertices = Mapping[str, NDArray[np.float32]]  # [v 3] in world space, by mesh name
 MitsubaDict = Mapping[str, Any]  # a Mitsuba scene dict; bitmap textures may hold numpy arrays
 MIN_DEPTH = 1e-6  # m: points nearer to the camera plane, or behind it, are projected from here

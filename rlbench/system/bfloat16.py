@@ -9,8 +9,6 @@ from rlbench.errors import OptionError
 if TYPE_CHECKING:
     import torch
 
-__all__ = ["describe_bf16", "emulation_reason", "require_native_bf16"]
-
 X86_FLAGS = ("avx512_bf16", "amx_bf16")  # either suffices; names of torch.cpu.get_capabilities
 ARM_FLAGS = ("bf16", "sve_bf16")
 

@@ -16,8 +16,6 @@ from importlib.machinery import ModuleSpec, PathFinder
 from pathlib import Path
 from typing import NamedTuple
 
-__all__ = ["CORE", "closure_of_file", "code_hash", "import_closure"]
-
 OWN = "rlbench"  # the top-level package that every closure follows
 INIT = ".__init__"  # suffix of a package that counts with its `__init__.py` alone
 

@@ -16,8 +16,6 @@ import tomli_w
 
 from rlbench.system.paths import atomic_write
 
-__all__ = ["decode", "read_json", "read_toml", "to_toml", "unknown_keys", "write_toml"]
-
 T = TypeVar("T")
 
 

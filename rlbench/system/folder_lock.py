@@ -19,8 +19,6 @@ from filelock import FileLock, Timeout
 from rlbench.errors import RlbenchError
 from rlbench.system.paths import write_error
 
-__all__ = ["LOCK_FILE", "FolderInUseError", "locked_folder"]
-
 LOCK_FILE = ".rlbench-lock"
 UNSUPPORTED = (errno.ENOLCK, errno.ENOTSUP)  # the file system has no locks
 

@@ -13,21 +13,6 @@ from pathlib import Path
 
 from rlbench.errors import RlbenchError
 
-__all__ = [
-    "FolderNotWritableError",
-    "WriteError",
-    "atomic_write",
-    "cache_folder",
-    "cache_write",
-    "check_writable",
-    "clips_folder",
-    "decoded_folder",
-    "publish_folder",
-    "scenes_folder",
-    "write_error",
-    "write_remedy",
-]
-
 UNWRITABLE = {  # errors of the disk or the folder, which the user can mend; numpy gives no number
     None,
     *(errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO, errno.EROFS, errno.EACCES, errno.EPERM),

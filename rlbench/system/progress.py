@@ -12,8 +12,6 @@ from typing import Any
 from rich.console import Console
 from rich.progress import Progress, ProgressColumn, Task
 
-__all__ = ["LOG_PERIOD_S", "LoggedProgress", "format_duration", "is_shown"]
-
 LOG_PERIOD_S = 30.0
 
 

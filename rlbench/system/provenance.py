@@ -11,16 +11,6 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
 
-__all__ = [
-    "PACKAGES",
-    "Machine",
-    "commit",
-    "machine",
-    "missing_packages",
-    "package_versions",
-    "versions",
-]
-
 PACKAGES = ("torch", "mitsuba", "rlbench")  # their versions decide results
 
 

@@ -21,8 +21,6 @@ from torch import Tensor
 from rlbench.errors import RlbenchError
 from rlbench.weights import ModelCard, WeightsError, read_card, save
 
-__all__ = ["average_weights"]
-
 TOLERANCE = 1e-6  # of the sum of all shares
 
 

@@ -1,4 +1,7 @@
-"""Training batches: random crops of random clips, augmented alike over all frames of a sequence."""
+"""Training batches: random crops of random clips, augmented alike over all frames of a sequence.
+
+On a GPU the clips lie in its memory, and crops are cut there.
+"""
 
 from __future__ import annotations
 
@@ -11,24 +14,17 @@ from functools import cached_property
 from pathlib import Path
 
 import torch
+from jaxtyping import Float
 from torch import Tensor
 
-from rlbench.clips.stored import DEFAULT_INPUTS, InMemoryClip, StoredClip, open_clip
+from rlbench.clips.in_memory import InMemoryClip
+from rlbench.clips.stored import DEFAULT_INPUTS, StoredClip, open_clip, sample_order
 from rlbench.errors import RlbenchError
 from rlbench.family import Traits
-from rlbench.frames import Frame, GBuffer, Reference, StoredPool
+from rlbench.frames import Frame, GBuffer, Reference, Size, StoredPool
+from rlbench.ops.sanitize import sanitize_radiance
+from rlbench.sanitize import sanitize_frame
 from rlbench.training.task import TrainingConfig
-
-__all__ = [
-    "TRAINING_INPUTS",
-    "Augmentation",
-    "BatchError",
-    "Batches",
-    "pool_slots",
-    "prefetch",
-    "sample_budget",
-    "sequence_budget",
-]
 
 TRAINING_INPUTS = frozenset({"albedo", "normal", "motion"})  # read for every method
 
@@ -67,11 +63,11 @@ class Augmentation:
         """The frame, transformed; a frame without motion gets zeros, so that clips can be mixed."""
         pool, reference = frame.pool, frame.reference
         assert isinstance(pool, StoredPool)
-        return Frame(
-            frame.index,
-            GBuffer(self._transform_buffers(frame.gbuffer)),
-            StoredPool(self.permute_channels(pool.radiance) * self.gain, pool.rounding_seeds),
-            Reference(
+        return replace(
+            frame,
+            gbuffer=GBuffer(self._transform_buffers(frame.gbuffer)),
+            pool=StoredPool(self.permute_channels(pool.radiance) * self.gain, pool.rounding_seeds),
+            reference=Reference(
                 self.permute_channels(reference.half_a) * self.gain,
                 self.permute_channels(reference.half_b) * self.gain,
             ),
@@ -150,6 +146,13 @@ class Batches:
             for folder in (*self.clips, *self.mixed_in)
         )
 
+    @cached_property
+    def _sources(self) -> tuple[StoredClip | ResidentClip, ...]:
+        """What crops are cut from: copies in the memory of a GPU, or the files."""
+        if torch.device(self.device).type != "cuda":
+            return self.stored_clips
+        return tuple(map(ResidentClip.load, self.stored_clips))
+
     def clip_digests(self) -> list[str]:
         """Name and hash of each clip, for model cards and checkpoints."""
         return [f"{clip.name} {clip.digest[:12]}" for clip in self.stored_clips]
@@ -163,8 +166,7 @@ class Batches:
         crops = [self._draw_crop(generator, first)]
         for _ in range(1, self.batch):
             crops.append(self._draw_crop(generator, self._draw_clip(generator, alike)))
-        frames = [_stack(batch) for batch in zip(*crops, strict=False)]
-        return InMemoryClip(f"sequence {index}", "training", "", frames)
+        return InMemoryClip(f"sequence {index}", "training", "", _interleave(crops))
 
     def _draw_clip(self, generator: torch.Generator, candidates: Sequence[int]) -> int:
         """One of the candidates, each with its probability given that it is one of them."""
@@ -177,9 +179,10 @@ class Batches:
             group = list(mixed) if is_mixed else group
         return group[_draw_integer(generator, len(group))]
 
-    def _draw_crop(self, generator: torch.Generator, number: int) -> list[Frame]:
+    def _draw_crop(self, generator: torch.Generator, number: int) -> Frame:
+        """A sequence of crops, with its frames as a batch."""
         sample_order = _draw_integer(generator, 2**31)
-        clip = replace(self.stored_clips[number], seed=sample_order)
+        clip = self._sources[number]
         if self.crop > min(clip.size.h, clip.size.w):
             raise BatchError(
                 f"Crops of {self.crop} x {self.crop} pixels were requested, but clip '{clip.name}' "
@@ -191,7 +194,116 @@ class Batches:
         augmentation = _draw_augmentation(generator)
         first = _draw_integer(generator, max(1, len(clip) - self.sequence_length + 1))
         indices = range(first, min(first + self.sequence_length, len(clip)))
-        return [augmentation.apply(clip.frame(index, window)) for index in indices]
+        return augmentation.apply(_cut(replace(clip, seed=sample_order), indices, window))
+
+
+@dataclass(frozen=True)
+class ResidentClip:
+    """A clip whose frames lie in the memory of a device, sanitised once."""
+
+    stored: StoredClip
+    samples: Float[Tensor, "frames slots 3 h w"]  # all that are stored, exposed
+    frame: Frame  # its batch is the frames of the clip; one sample each
+    seed: int = 0  # of the sample order and of rounding
+
+    @classmethod
+    def load(cls, clip: StoredClip) -> ResidentClip:
+        """Read all frames and samples of a clip to its device."""
+        everything = replace(clip, max_samples=clip.header.pool_spp)
+        frame = _cut(everything, range(len(clip)), (slice(None), slice(None)))
+        assert isinstance(frame.pool, StoredPool)
+        slots = torch.empty_like(frame.pool.radiance)  # in stored order
+        for index in range(len(clip)):
+            order, _ = sample_order(clip.seed, clip.name, index, clip.header.pool_spp)
+            slots[index, order] = frame.pool.radiance[index]
+        valid = sanitize_frame(frame, clip.inputs)
+        pool = StoredPool(frame.pool.radiance[:, :1], frame.pool.rounding_seeds)
+        frame = replace(frame, gbuffer=valid.gbuffer, pool=pool, is_sanitized=True)
+        return cls(clip, sanitize_radiance(slots), frame)
+
+    def __len__(self) -> int:
+        """Number of frames."""
+        return len(self.stored)
+
+    @property
+    def name(self) -> str:
+        """The clip's name."""
+        return self.stored.name
+
+    @property
+    def size(self) -> Size:
+        """One clip, and height and width of its images."""
+        return self.stored.size
+
+    def cut(self, indices: range, window: tuple[slice, slice]) -> Frame:
+        """A window of some frames, which are its batch; images are views of those in memory."""
+        slots, most = self.samples.shape[1], self.stored.max_samples
+        orders = [sample_order(self.seed, self.name, index, slots) for index in indices]
+        order = torch.tensor([slots[:most] for slots, _ in orders], device=self.samples.device)
+        frames = slice(indices.start, indices.stop)
+        samples = self.samples[frames, :, :, *window]
+        rows = torch.arange(len(indices), device=order.device)[:, None]
+        gbuffer, reference = self.frame.gbuffer, self.frame.reference
+        buffers = {k: v[frames, :, *window] for k, v in gbuffer.buffers.items()}
+        halves = [half[frames, :, *window] for half in (reference.half_a, reference.half_b)]
+        return replace(
+            self.frame,
+            index=indices.start,
+            gbuffer=GBuffer(buffers, gbuffer.static),
+            pool=StoredPool(samples[rows, order], tuple(seed for _, seed in orders)),
+            reference=Reference(*halves),
+        )
+
+
+def _cut(clip: StoredClip | ResidentClip, indices: range, window: tuple[slice, slice]) -> Frame:
+    """A window of some frames of a clip, which are the batch of one frame."""
+    if isinstance(clip, ResidentClip):
+        return clip.cut(indices, window)
+    frames = [clip.frame(index, window) for index in indices]
+    gbuffers = [frame.gbuffer for frame in frames]
+    buffers = {k: torch.cat([each.buffers[k] for each in gbuffers]) for k in gbuffers[0].buffers}
+    pools = [frame.pool for frame in frames if isinstance(frame.pool, StoredPool)]
+    return Frame(
+        indices.start,
+        GBuffer(buffers, gbuffers[0].static),
+        StoredPool(
+            torch.cat([pool.radiance for pool in pools]),
+            tuple(seed for pool in pools for seed in pool.rounding_seeds),
+        ),
+        Reference(
+            torch.cat([frame.reference.half_a for frame in frames]),
+            torch.cat([frame.reference.half_b for frame in frames]),
+        ),
+    )
+
+
+def _interleave(crops: Sequence[Frame]) -> list[Frame]:
+    """The frames of a sequence whose batch is the crops, from crops whose batch is the frames.
+
+    It is as long as the shortest of them.
+    """
+    pools = [crop.pool for crop in crops if isinstance(crop.pool, StoredPool)]
+    seeds = list(zip(*(pool.rounding_seeds for pool in pools), strict=False))
+
+    def stack(images: list[Tensor]) -> Tensor:
+        """Images [frames crops ...] of images [frames ...] of each crop."""
+        return torch.stack([image[: len(seeds)] for image in images], 1)
+
+    names = crops[0].gbuffer.buffers
+    buffers = {k: stack([crop.gbuffer.buffers[k] for crop in crops]) for k in names}
+    radiance = stack([pool.radiance for pool in pools])
+    half_a = stack([crop.reference.half_a for crop in crops])
+    half_b = stack([crop.reference.half_b for crop in crops])
+    return [
+        replace(
+            crops[0],
+            index=crops[0].index + frame,
+            gbuffer=GBuffer({k: images[frame] for k, images in buffers.items()}),
+            pool=StoredPool(radiance[frame], seeds[frame]),
+            reference=Reference(half_a[frame], half_b[frame]),
+        )
+        for frame in range(len(seeds))
+    ]
 
 
 def sample_budget(budgets: Sequence[float], seed: int, index: int) -> float:
@@ -247,17 +359,3 @@ def _draw_augmentation(generator: torch.Generator) -> Augmentation:
 
 def _draw_integer(generator: torch.Generator, below: int) -> int:
     return int(torch.randint(below, (), generator=generator))
-
-
-def _stack(frames: Sequence[Frame]) -> Frame:
-    if len(frames) == 1:
-        return frames[0]
-    names = frames[0].gbuffer.buffers
-    pools = [frame.pool for frame in frames]
-    gbuffer = GBuffer({k: torch.cat([f.gbuffer.buffers[k] for f in frames]) for k in names})
-    radiance = torch.cat([p.radiance for p in pools if isinstance(p, StoredPool)])
-    rounding_seeds = tuple(seed for pool in pools for seed in pool.rounding_seeds)
-    half_a = torch.cat([f.reference.half_a for f in frames])
-    half_b = torch.cat([f.reference.half_b for f in frames])
-    pool = StoredPool(radiance, rounding_seeds)
-    return Frame(frames[0].index, gbuffer, pool, Reference(half_a, half_b))

@@ -25,19 +25,6 @@ from rlbench.training.task import TrainingError, TrainingTask
 if TYPE_CHECKING:
     from rlbench.training.train_state import TrainState
 
-__all__ = [
-    "CheckpointError",
-    "Progress",
-    "combine_digests",
-    "describe_changes",
-    "frames_in_weights",
-    "read",
-    "save_weights",
-    "select_prefix",
-    "start_from",
-    "write",
-]
-
 _logger = logging.getLogger(__name__)
 
 MAX_LISTED = 8  # clips in a message
@@ -89,6 +76,22 @@ class Progress:
         self.config = config
 
     @property
+    def fraction_done(self) -> float:
+        """The part of the training that is done, in [0, 1]: of its `frames`, or of `anneal`."""
+        minutes = self.config.get("anneal", 0.0)
+        done = (
+            self.seconds / (60 * minutes) if minutes else self.frames_seen / self.config["frames"]
+        )
+        return float(min(done, 1.0))
+
+    @property
+    def frames_goal(self) -> int:
+        """Crops at the end of the training; an estimate where its length is given in minutes."""
+        if self.config.get("anneal") and self.fraction_done > 0:
+            return round(self.frames_seen / self.fraction_done)
+        return int(self.config["frames"])
+
+    @property
     def trend(self) -> str:
         """Is the validation still "rising" in the last fifth of the run, or "flat"?
 
@@ -105,14 +108,15 @@ class Progress:
         before = [psnr for seen, psnr in earlier if seen <= LAST_FIFTH * frames] or [earlier[0][1]]
         return last - before[-1]
 
-    def note(self, frames: int) -> str:
+    @property
+    def note(self) -> str:
         """What users of the weights should know: config changes, early stop, no convergence yet.
 
-        `frames` is the intended length of the run. Empty if there is nothing to report.
+        Empty if there is nothing to report.
         """
         problem = ""
-        if self.frames_seen < frames:
-            problem = f"stopped at {self.frames_seen} of {frames} frames"
+        if self.fraction_done < 1:
+            problem = f"stopped at {self.frames_seen} of {self.frames_goal} frames"
         elif self.trend == "rising":
             problem = (
                 f"not converged: validation rose by {self._last_rise:.2f} dB in the last fifth"
@@ -284,7 +288,7 @@ def save_weights(
         curves={name: tuple(curve) for name, curve in progress.curves.items()},
         kept_at=kept_at,
         trend=progress.trend,
-        note="; ".join(filter(None, (remark, kept, progress.note(config.frames)))),
+        note="; ".join(filter(None, (remark, kept, progress.note))),
     )
     weights.save(networks, file, card)
 

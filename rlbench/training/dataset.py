@@ -12,8 +12,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
 from rlbench.clips.compatibility import incompatibility
-from rlbench.clips.header import FILE, ClipError, Header
-from rlbench.clips.stored import StoredClip, find_all_clips, open_clip, read_header
+from rlbench.clips.header import FILE, ClipError, Header, read_header
+from rlbench.clips.stored import StoredClip, find_all_clips, open_clip
 from rlbench.errors import OptionError
 from rlbench.family import Traits
 from rlbench.registry.near_names import unknown_name
@@ -24,22 +24,6 @@ from rlbench.training.batches import TRAINING_INPUTS, BatchError
 
 if TYPE_CHECKING:
     from rlbench.parallel.executor import Executor
-
-__all__ = [
-    "QUICK_PREFIX",
-    "QUICK_REMARK",
-    "TrainingSplit",
-    "check_clips",
-    "count_unrendered",
-    "describe_small_pools",
-    "find_own_clips",
-    "select_split",
-    "select_validation",
-    "split_generated",
-    "split_holdout",
-    "split_off_validation",
-    "split_quick",
-]
 
 Render = Callable[..., list[Path]]  # `render_preset_clips`, perhaps with some arguments given
 

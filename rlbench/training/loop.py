@@ -34,8 +34,6 @@ from rlbench.training.run_folder import CHECKPOINT, TrainingLogger, run_folder, 
 from rlbench.training.task import TrainingConfig, TrainingError, TrainingTask
 from rlbench.training.train_state import NonFiniteStepError, TrainState, ValidationResult
 
-__all__ = ["TrainingResult", "TrainingRuns", "archive_run", "train"]
-
 _logger = logging.getLogger(__name__)
 
 STATUS_SECONDS = 10.0  # between two writings of the status
@@ -75,7 +73,7 @@ def train(
     weights file `start` that fit; the card's `origin` names it.
 
     While it runs, `out` gets checkpoint.safetensors, log.jsonl, status.json and, if TensorBoard is
-    installed, its event files; after `config.frames` frames, or after `minutes`, NAME.safetensors
+    installed, its event files; at the end of the config, or after `minutes`, NAME.safetensors
     and its card NAME.toml. `command` and `remark` are recorded in the card; `on_progress` is called
     with progress and loss after each sequence.
 
@@ -103,21 +101,21 @@ def train(
     requested |= {name: value for name, value in chosen.items() if value}
     progress = _start_or_resume(state, out / CHECKPOINT, requested, allow_config_change)
     result = TrainingResult(weights_path(method, out), progress)
-    if config.frames <= progress.frames_seen == frames_in_weights(result.weights):
+    if progress.fraction_done >= 1 and progress.frames_seen == frames_in_weights(result.weights):
         return result
     began = time.monotonic() - progress.seconds
     stop, next_status, loss = time.monotonic() + 60 * minutes, 0.0, math.nan
     with prefetch(batches) as sequence, closing(TrainingLogger(out, progress.frames_seen)) as log:
-        while progress.frames_seen < config.frames and time.monotonic() < stop:
+        while progress.fraction_done < 1 and time.monotonic() < stop:
             intervals, started = progress.frames_seen // config.eval_interval, time.monotonic()
-            learning_rate = task.max_lr * config.lr_factor(progress.frames_seen)
+            learning_rate = task.max_lr * config.lr_factor(progress.fraction_done)
             clip = sequence(progress.sequences)
             loss = _train_sequence(method, state, clip, progress)
             progress.seconds = time.monotonic() - began
             progress.frames_per_second = _count_frames(clip) / max(time.monotonic() - started, 1e-9)
             log.log_sequence(progress, loss, learning_rate)
-            finished = progress.frames_seen >= config.frames
-            if finished or progress.frames_seen // config.eval_interval > intervals:
+            now = progress.frames_seen // config.eval_interval
+            if progress.fraction_done >= 1 or now > intervals:
                 log.log_validation(progress, loss, _validate(state, progress, sets))
                 checkpoint.write(out / CHECKPOINT, state.state_dict(), asdict(progress))
                 next_status = 0.0
@@ -233,10 +231,9 @@ def _train_sequence(
     """Train on the next sequence and advance the progress; returns the mean loss."""
     config, index = state.config, progress.sequences
     spp = sequence_budget(clip, config.spp or state.task.spp, config.seed, index)
-    lr_factor = config.lr_factor(progress.frames_seen)
-    fraction = progress.frames_seen / config.frames
+    done = progress.fraction_done
     try:
-        loss = state.train_sequence(clip, spp, lr_factor, fraction)
+        loss = state.train_sequence(clip, spp, config.lr_factor(done), done)
     except NonFiniteStepError as error:
         raise TrainingError(
             f"Training of '{method}' stopped in sequence {index} at {spp:g} spp: {error}. "

@@ -23,8 +23,6 @@ from rlbench.training.run_folder import run_folder
 from rlbench.training.task import TrainingConfig, TrainingTask
 from rlbench.training.train_state import NonFiniteStepError, TrainState
 
-__all__ = ["LrPoint", "LrRangeResult", "find_learning_rate"]
-
 MIN_LR, MAX_LR = 1e-6, 1e-1  # learning rates of the first and the last sequence
 WINDOW_DECADES = 0.25  # standard deviation of the Gaussian that smooths the losses
 NOISE_MARGIN = 3.0  # a rise counts from so many times the usual step between two losses

@@ -19,8 +19,6 @@ from rlbench.training.batches import Batches, sequence_budget
 from rlbench.training.task import TrainingConfig, TrainingTask
 from rlbench.training.train_state import TrainState
 
-__all__ = ["ProfiledPart", "TrainingProfile", "profile"]
-
 PARTS = {  # functions of rlbench, in the order in which they run
     ("batches.py", "sequence"): "read and crop a sequence",
     ("train_state.py", "_forward"): "forward, with the loss",

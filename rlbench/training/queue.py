@@ -43,19 +43,6 @@ from rlbench.system import documents, paths
 from rlbench.system.folder_lock import locked_folder
 from rlbench.training.run_folder import RunState, read_state, weights_path
 
-__all__ = [
-    "Entry",
-    "Queue",
-    "QueueError",
-    "QueueFile",
-    "RowStatus",
-    "Training",
-    "is_running",
-    "read_queue",
-    "read_status",
-    "set_paused",
-]
-
 RECORD = "queue.json"
 PAUSE = "paused"  # a file: while it exists, the queue stops its processes
 OUTPUT = "output.log"  # what a training prints

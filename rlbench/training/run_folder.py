@@ -26,20 +26,6 @@ if TYPE_CHECKING:
     from rlbench.training.checkpoint import Progress
     from rlbench.training.train_state import ValidationResult
 
-__all__ = [
-    "CHECKPOINT",
-    "LOG",
-    "QUICK",
-    "STATUS",
-    "RunState",
-    "TrainingLogger",
-    "find_weights",
-    "read_state",
-    "run_folder",
-    "tensorboard_hint",
-    "weights_path",
-]
-
 CHECKPOINT = "checkpoint.safetensors"
 LOG = "log.jsonl"  # one line per validation
 STATUS = "status.json"  # the present state
@@ -202,12 +188,11 @@ class TrainingLogger:
         self.tensorboard.flush()
 
     def write_status(self, progress: Progress, loss: float) -> None:
-        """Replace the status of the run; its length is that of the config."""
-        frames = int(progress.config["frames"])
+        """Replace the status of the run."""
         last = {name: curve[-1] for name, curve in progress.curves.items() if curve}
         status = {
             "method": progress.config["method"],
-            "frames": frames,
+            "frames": progress.frames_goal,
             "frames_seen": progress.frames_seen,
             "frames_per_second": progress.frames_per_second,
             "seconds": progress.seconds,
@@ -217,7 +202,7 @@ class TrainingLogger:
                 for name, (_, psnr, first) in last.items()
             },
             "best": progress.best,
-            "finished": progress.frames_seen >= frames,
+            "finished": progress.fraction_done >= 1,
         }
         with paths.atomic_write(self.status) as temporary:
             temporary.write_text(json.dumps(status))

@@ -15,8 +15,6 @@ from rlbench.frames import Frame, GBuffer, Samples
 from rlbench.method import Method
 from rlbench.wrappers import MethodWrapper
 
-__all__ = ["SampleGradient", "SurrogateGradient", "kuznetsov_gradient", "relaxed_counts"]
-
 MIN_LOG_DENSITY = -30.0  # a pixel with a lower density has its minimum count in any case
 BISECTIONS = 32  # of the logarithm of a multiplier, an interval of about 30: exact to float32
 MIN_DENSITY_SUM = 1e-20  # below any density; avoids a division by zero if no pixel is free

@@ -67,14 +67,6 @@ if TYPE_CHECKING:
     from rlbench.frames import Clip
     from rlbench.method import Method
 
-__all__ = [
-    "BUDGETS_FROM_0_05_SPP",
-    "BUDGETS_FROM_1_SPP",
-    "TrainingConfig",
-    "TrainingError",
-    "TrainingTask",
-]
-
 # training budgets in samples per pixel, for methods that need a sample in every pixel; repeated
 # values are drawn more often
 BUDGETS_FROM_1_SPP = (1.0, 1.0, 2.0, 2.0, 4.0, 4.0, 6.0)
@@ -83,7 +75,13 @@ BUDGETS_FROM_0_05_SPP = (0.05, 0.25, 0.5, *BUDGETS_FROM_1_SPP)  # for methods th
 WARM_UP_FRACTION = 0.15  # of the frames, in which the learning rate rises
 START_FACTOR, END_FACTOR = 1 / 25, 1e-4  # first and last learning rate, relative to the peak
 
-OPTIONAL = ("spp", "mix", "keep", "anchor")  # fields that are stored only where they are chosen
+OPTIONAL = (
+    "spp",
+    "mix",
+    "keep",
+    "anchor",
+    "anneal",
+)  # fields that are stored only where they are chosen
 
 
 class TrainingError(RlbenchError, RuntimeError):
@@ -140,6 +138,8 @@ class TrainingConfig:
     keep: str = "last"
     # pull towards the first values of weights that others trained before (L2-SP); 0: none
     anchor: float = 0.0
+    # minutes of training in which the learning rate rises and falls, in place of `frames`; 0: none
+    anneal: float = 0.0
 
     @classmethod
     def from_dict(cls, stored: Mapping[str, Any]) -> TrainingConfig:
@@ -165,21 +165,25 @@ class TrainingConfig:
         """Are the weights of the best validation saved, instead of the last ones?"""
         return self.keep != "last"
 
-    def lr_factor(self, frames_seen: int) -> float:
-        """One-cycle learning rate after `frames_seen` frames, relative to the peak, in (0, 1].
+    def lr_factor(self, fraction_done: float) -> float:
+        """One-cycle learning rate, relative to the peak for one crop at a time; above 0.
 
         It rises by a half cosine, then falls by one (Smith and Topin 2018), as in torch's
         OneCycleLR with pct_start 0.15, div_factor 25, final_div_factor 400 (1e4 / 25). Kept as a
         pure function, because OneCycleLR has a state that a checkpoint would have to contain, and
-        counts steps, whose number is not known in advance; a test compares the two.
+        counts steps, whose number is not known in advance; a test compares the two. It grows with
+        the square root of the batch, as the noise of Adam's steps falls (Malladi et al. 2022, On
+        the SDEs and Scaling Rules for Adaptive Gradient Algorithms).
 
-        >>> config = TrainingConfig(frames=1000)
-        >>> [config.lr_factor(frames) for frames in (0, 150, 1000)]
+        >>> [TrainingConfig().lr_factor(fraction) for fraction in (0, 0.15, 1)]
         [0.04, 1.0, 0.0001]
+        >>> TrainingConfig(batch=4).lr_factor(0.15)
+        2.0
         """
-        fraction = min(frames_seen / self.frames, 1.0)
-        if fraction < WARM_UP_FRACTION:
-            low, position = START_FACTOR, fraction / WARM_UP_FRACTION
+        if fraction_done < WARM_UP_FRACTION:
+            low, position = START_FACTOR, fraction_done / WARM_UP_FRACTION
         else:
-            low, position = END_FACTOR, 1 - (fraction - WARM_UP_FRACTION) / (1 - WARM_UP_FRACTION)
-        return low + (1.0 - low) * (1 - math.cos(math.pi * position)) / 2
+            low = END_FACTOR
+            position = 1 - (fraction_done - WARM_UP_FRACTION) / (1 - WARM_UP_FRACTION)
+        factor = low + (1.0 - low) * (1 - math.cos(math.pi * position)) / 2
+        return factor * math.sqrt(self.batch)

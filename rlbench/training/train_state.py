@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import copy
+import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
 from statistics import fmean
@@ -20,16 +21,6 @@ from rlbench.method import Method
 from rlbench.run import run_clip
 from rlbench.training.checkpoint import select_prefix
 from rlbench.training.task import TrainingConfig, TrainingError, TrainingTask
-
-__all__ = [
-    "NonFiniteStepError",
-    "SetScore",
-    "TrainState",
-    "ValidationResult",
-    "validate",
-    "validation_budgets",
-    "warmed_up_ema",
-]
 
 DEFAULT_BUDGETS = (1.0, 4.0)  # of a validation, samples per pixel
 MAX_LAYERS_SHOWN = 3  # in an error message
@@ -96,7 +87,9 @@ class TrainState:
         average = warmed_up_ema(config.ema_decay)
         self.ema = AveragedModel(self.networks, multi_avg_fn=average, use_buffers=True)
         self.ema.update_parameters(self.networks)  # the initial weights count as the first average
-        self.optimizer = torch.optim.Adam(_parameter_groups(task), task.max_lr)
+        torch.backends.cudnn.benchmark = True  # crops have one size
+        fused = self.device.type == "cuda"
+        self.optimizer = torch.optim.Adam(_parameter_groups(task), task.max_lr, fused=fused)
         self.best: dict[str, Tensor] = {}  # averaged weights that `keep_average` stored
         self._modules = {"the networks": self.networks}  # gradients are clipped for each
         if task.auxiliary_network is not None:
@@ -127,15 +120,14 @@ class TrainState:
             group["lr"] = self.task.max_lr * group["lr_multiplier"] * lr_factor
         self.task.on_progress(fraction_done)
         losses = self.task.losses(clip, spp)
-        total, count = 0.0, 0
+        total, count = torch.zeros((), device=self.device), 0
         while (loss := self._forward(losses)) is not None:
-            self._check_finite("loss", loss, count)
             self._backward(loss)
-            self._clip_gradients(count)
+            self._clip_gradients(loss, count)
             self._step()
-            self._update_ema()
-            total, count = total + loss.item(), count + 1
-        return total / max(count, 1)
+            self.ema.update_parameters(self.networks)
+            total, count = total + loss.detach(), count + 1
+        return total.item() / max(count, 1)
 
     def validate(self, sets: Mapping[str, Sequence[Path]]) -> ValidationResult:
         """Score the averaged weights, see `validate`, at the `validation_budgets`.
@@ -191,40 +183,51 @@ class TrainState:
         self.optimizer.zero_grad()
         loss.backward()  # type: ignore[no-untyped-call]
 
-    def _clip_gradients(self, step: int) -> None:
-        for name, module in self._modules.items():
-            gradients = [weight.grad for weight in module.parameters() if weight.grad is not None]
-            norm = nn.utils.get_total_norm(gradients)
-            self._check_finite(f"gradient norm of {name}", norm, step)
-            nn.utils.clip_grads_with_norm_(module.parameters(), self.config.max_grad_norm, norm)
+    def _clip_gradients(self, loss: Tensor, step: int) -> None:
+        """Scale long gradients down. Raises NonFiniteStepError, after one look at all values."""
+        weights = {name: list(module.parameters()) for name, module in self._modules.items()}
+        norms = {
+            f"gradient norm of {name}": nn.utils.get_total_norm(
+                [w.grad for w in ws if w.grad is not None]
+            )
+            for name, ws in weights.items()
+        }
+        quantities = {"loss": loss.detach(), **norms}
+        # the norm of no gradients lies on the CPU
+        floats = [value.to(loss.device, torch.float32) for value in quantities.values()]
+        values = torch.stack(floats).tolist()
+        for quantity, value in zip(quantities, values, strict=True):
+            if not math.isfinite(value):
+                raise NonFiniteStepError(quantity, value, step, self._nonfinite_layers())
+        for ws, norm in zip(weights.values(), norms.values(), strict=True):
+            nn.utils.clip_grads_with_norm_(ws, self.config.max_grad_norm, norm)
 
     def _step(self) -> None:
         self.optimizer.step()
         for group in self.optimizer.param_groups if self._anchors else ():
+            weights = [weight for weight in group["params"] if weight in self._anchors]
+            if not weights:
+                continue
+            starts, masks = zip(*(self._anchors[weight] for weight in weights), strict=True)
             pull = 1 - 1 / (1 + group["lr"] * self.config.anchor)
-            for weight in group["params"]:
-                if (start := self._anchors.get(weight)) is not None:
-                    weight.data.lerp_(start, pull * (start != 0))
+            with torch.no_grad():
+                away = torch._foreach_sub(starts, weights)
+                torch._foreach_mul_(away, masks)
+                torch._foreach_add_(weights, away, alpha=pull)
 
-    def _update_ema(self) -> None:
-        self.ema.update_parameters(self.networks)
-
-    def _check_finite(self, quantity: str, value: Tensor, step: int) -> None:
-        if torch.isfinite(value):
-            return
-        layers = [
+    def _nonfinite_layers(self) -> list[str]:
+        return [
             name
             for module in self._modules.values()
             for name, weight in module.named_parameters()
             if not all(bool(t.isfinite().all()) for t in (weight, weight.grad) if t is not None)
         ]
-        raise NonFiniteStepError(quantity, value.item(), step, layers)
 
 
-def _first_values(task: TrainingTask) -> dict[nn.Parameter, Tensor]:
-    """A copy of each weight that was trained before."""
+def _first_values(task: TrainingTask) -> dict[nn.Parameter, tuple[Tensor, Tensor]]:
+    """Of each weight that was trained before a copy, and 1 where it is not 0."""
     first = {
-        weight: weight.detach().clone()
+        weight: (weight.detach().clone(), (weight.detach() != 0).to(weight.dtype))
         for name, weight in task.networks.named_parameters()
         if name.startswith(task.pretrained)
     }

@@ -13,7 +13,7 @@ import pytest
 from reports.published import published as published_numbers
 from rlbench.benchmark import cost
 from rlbench.benchmark.cost import CostError
-from rlbench.clips.stored import read_header
+from rlbench.clips.header import read_header
 from rlbench.system import provenance
 
 

@@ -23,7 +23,8 @@ from rlbench.benchmark.clip_sources import StoredSource, max_samples_needed
 from rlbench.benchmark.run_outcome import read_outcome
 from rlbench.benchmark.run_plan import RunPlan, row_name
 from rlbench.benchmark.runner import RunSummary, measure, read_cells
-from rlbench.clips.stored import open_clip, read_header, write_header
+from rlbench.clips.header import read_header, write_header
+from rlbench.clips.stored import open_clip
 from rlbench.errors import OptionError
 from rlbench.system import code_hash, provenance
 from rlbench.weights import card_path

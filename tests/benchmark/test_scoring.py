@@ -24,10 +24,10 @@ from rlbench.benchmark.scoring import (
     make_ground_truth,
     score_frame,
 )
+from rlbench.clips.header import read_header
 from rlbench.clips.in_memory import InMemoryClip
 from rlbench.clips.procedural.clip import procedural_clip
 from rlbench.clips.procedural.folder import write_procedural_clip
-from rlbench.clips.stored import read_header
 from rlbench.family import Traits
 from rlbench.frames import Size
 from rlbench.run import run_clip

@@ -104,6 +104,7 @@ def test_the_version_is_that_of_the_package():
 
 def test_an_unknown_command_and_an_unknown_option_are_usage_errors():
     assert "No such command 'zz'" in rlbench("zz", code=2)
+    assert "See rlbench list methods" in rlbench("methods", code=2)
     output = rlbench("run", "--presets", "mini", code=2)
     assert "Usage: rlbench run" in output.replace("root", "rlbench")
     assert "No such option: --presets" in output

@@ -51,11 +51,14 @@ def test_each_entry_becomes_a_command_line_and_a_folder(trainings, tmp_path):
     assert at_once == 3
 
 
-def test_one_training_at_a_time_runs_on_a_gpu(trainings, tmp_path):
-    file = write(tmp_path, "[queue]", "at_once = 3", *ROW)
+@pytest.mark.parametrize(("lines", "at_once"), [([], 1), (["[queue]", "at_once = 3"], 3)])
+def test_one_training_at_a_time_runs_on_a_gpu_unless_the_file_says_more(
+    trainings, tmp_path, lines, at_once
+):
+    file = write(tmp_path, *lines, *ROW)
     rlbench("train", "--queue", file, "--device", "cuda", "--batch", 16)
     assert trainings[0].words[-4:] == ("--device", "cuda", "--batch", "16")
-    assert trainings[1] == 1
+    assert trainings[1] == at_once
 
 
 @pytest.mark.parametrize(

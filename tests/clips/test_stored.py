@@ -16,16 +16,9 @@ from hypothesis import strategies as st
 
 from rlbench.clips import decode_cache
 from rlbench.clips.exr import write_exr
-from rlbench.clips.stored import (
-    ClipError,
-    find_all_clips,
-    has_frame,
-    open_clip,
-    sample_order,
-    verify,
-    write_frame,
-    write_header,
-)
+from rlbench.clips.frame_files import has_frame, write_frame
+from rlbench.clips.header import ClipError, write_header
+from rlbench.clips.stored import find_all_clips, open_clip, sample_order, verify
 from rlbench.system import paths
 from tests.clips.clip_folders import FRAMES, HEADER, STORED, H, W, content, touch_up, write_clip
 from tests.conftest import write_noise

@@ -16,7 +16,7 @@ from rlbench.ops.dither import ONE_SHARE, THRESHOLD_BITS, hash_to_integer, round
 
 def round_shares(shares: Tensor, seed: int = 0) -> Tensor:
     fixed = (shares.double() * ONE_SHARE).long()
-    return round_to_total(fixed, round(float(shares.double().sum())), seed)
+    return round_to_total(fixed[None], round(float(shares.double().sum())), [seed])[0]
 
 
 @st.composite
@@ -75,14 +75,14 @@ def divide_rows(
 def test_the_counts_equal_those_of_a_recursive_twin_in_exact_fractions(problem):
     shares, total, seed = problem
     exact = [[Fraction(v, ONE_SHARE) for v in row] for row in shares.tolist()]
-    assert round_to_total(shares, total, seed).tolist() == divide(exact, total, seed, 0)
+    assert round_to_total(shares[None], total, [seed])[0].tolist() == divide(exact, total, seed, 0)
 
 
 @settings(max_examples=200, deadline=None)
 @given(problems())
 def test_counts_sum_to_the_total_and_are_shares_rounded_down_or_up(problem):
     shares, total, seed = problem
-    counts = round_to_total(shares, total, seed)
+    counts = round_to_total(shares[None], total, [seed])[0]
     assert int(counts.sum()) == total
     assert (counts >= shares // ONE_SHARE).all()
     assert (counts <= -(-shares // ONE_SHARE)).all()

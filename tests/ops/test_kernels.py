@@ -9,6 +9,7 @@ import torch
 from torch import Tensor
 from torch.utils._python_dispatch import TorchDispatchMode
 
+from rlbench.ops import kernels as kernels_module
 from rlbench.ops.kernels import apply_kernels, splat_kernels
 
 
@@ -176,3 +177,19 @@ def test_taps_that_do_not_fit_the_stride_are_an_error(taps: int, stride: int) ->
 def test_an_image_smaller_than_the_reach_is_an_error() -> None:
     with pytest.raises(ValueError, match="reach 2 pixels beyond the border.*pad the image"):
         splat_kernels(torch.ones(1, 25, 1, 4), torch.ones(1, 1, 1, 4))
+
+
+@pytest.mark.parametrize(("taps", "stride"), [(9, 1), (25, 1), (16, 2), (36, 2)])
+def test_all_taps_at_once_as_on_a_gpu_equal_one_after_another(taps, stride, monkeypatch):
+    results = []
+    for few_steps in (False, True):
+        monkeypatch.setattr(kernels_module, "_prefers_few_steps", lambda _, few=few_steps: few)
+        generator = torch.Generator().manual_seed(0)
+        shapes = (3, taps, 9, 11), (3, 2, 9, 11)
+        kernels, image = (torch.rand(s, generator=generator).requires_grad_() for s in shapes)
+        outputs = [splat_kernels(kernels, image, stride)]
+        outputs += [apply_kernels(kernels, image)] if taps % 2 and stride == 1 else []
+        sum((output * output.detach().sin()).sum() for output in outputs).backward()
+        results.append([*outputs, kernels.grad, image.grad])
+    for one, other in zip(*results, strict=True):
+        torch.testing.assert_close(one, other)  # sums in another order

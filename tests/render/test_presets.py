@@ -38,7 +38,7 @@ def test_the_papers_protocol():
     paper = PRESETS["paper"]
     assert (paper.size, paper.frames, paper.pool_spp) == ((720, 720), 20, 8)
     assert 2 * paper.reference_spp == 1000
-    assert paper.paths_per_clip == 20 * 720 * 720 * 1008
+    assert paper.paths_per_frame == 720 * 720 * 1008
 
 
 def test_a_preset_with_a_radiance_cap_has_another_name_and_content_key():

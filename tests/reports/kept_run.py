@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 import rlbench
-from rlbench.clips.stored import read_header, write_header
+from rlbench.clips.header import read_header, write_header
 from rlbench.system import provenance
 from tests.procedural_folder import write_world
 

@@ -14,7 +14,7 @@ from rich.progress import Progress
 import rlbench
 from rlbench.cli import console as cli
 from rlbench.parallel.executor import LOCAL
-from rlbench.render.jobs.render_clips import new_or_given_bar
+from rlbench.render.jobs.render_clips import progress_bar
 from rlbench.system.progress import LoggedProgress
 
 DEADLINE_S = 20.0  # until a line must have been written, on a busy machine
@@ -110,7 +110,7 @@ def test_a_terminal_gets_the_bar_and_no_lines(log):
 @pytest.mark.parametrize(
     ("open_bar", "description"),
     [
-        (lambda: new_or_given_bar(None, LOCAL), "city"),
+        (lambda: progress_bar(LOCAL), "city"),
         (lambda: cli.training("ours", 100), "ours"),
         (lambda: cli.counting("importing", 3), "importing"),
     ],

@@ -18,6 +18,7 @@ from rlbench.training.batches import (
     Augmentation,
     BatchError,
     Batches,
+    ResidentClip,
     pool_slots,
     prefetch,
     sample_budget,
@@ -210,3 +211,31 @@ def test_crops_larger_than_a_clip_are_refused(tmp_path):
 def test_batches_without_clips_are_refused():
     with pytest.raises(BatchError, match="render --preset train"):
         Batches([], batch=1, crop=48, sequence_length=2, seed=0)
+
+
+@pytest.mark.parametrize("batch", [1, 3])
+def test_crops_of_clips_in_memory_equal_those_of_files(tmp_path, batch):
+    clips = [write_world(tmp_path / f"{seed}", seed=seed, side=64, frames=3) for seed in range(2)]
+    stored, resident = (
+        Batches(clips, batch=batch, crop=40, sequence_length=2, seed=0) for _ in range(2)
+    )
+    resident.__dict__["_sources"] = tuple(map(ResidentClip.load, resident.stored_clips))
+    for index in range(4):
+        for one, other in zip(stored.sequence(index), resident.sequence(index), strict=True):
+            assert one.gbuffer.buffers.keys() == other.gbuffer.buffers.keys()
+            for name, buffer in one.gbuffer.buffers.items():
+                assert torch.equal(buffer, other.gbuffer.buffers[name])
+            assert torch.equal(one.pool.radiance, other.pool.radiance)
+            assert one.pool.rounding_seeds == other.pool.rounding_seeds
+            assert torch.equal(one.reference.half_a, other.reference.half_a)
+            assert torch.equal(one.reference.half_b, other.reference.half_b)
+            assert (one.is_sanitized, other.is_sanitized) == (False, True)
+
+
+def test_broken_values_of_clips_in_memory_are_repaired_once(tmp_path):
+    clip = open_clip(write_world(tmp_path / "world", seed=3, side=64, frames=2))
+    slots = [array for index in range(2) for array in clip.arrays.pool("path", index, range(8))]
+    slots[3][:, 5, 7] = torch.inf  # a map of the file in memory; the file stays
+    resident = ResidentClip.load(clip)
+    assert resident.samples.max() <= 65504
+    assert len(resident) == 2

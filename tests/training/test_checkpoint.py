@@ -131,7 +131,7 @@ def test_many_clips_of_a_changed_config_are_counted():
     ],
 )
 def test_the_note_says_if_training_was_too_short(frames, history, expected):
-    note = Progress(frames_seen=frames, validation_history=history).note(3000)
+    note = Progress(frames_seen=frames, validation_history=history, config={"frames": 3000}).note
     assert expected in note
     assert bool(note) == bool(expected)
 
@@ -147,10 +147,11 @@ def test_the_trend_is_that_of_the_last_fifth(rises, trend):
 
 
 def test_a_change_of_the_config_is_noted_with_its_frame():
-    progress = Progress(frames_seen=9, config={"bf16": True, "crop": 16})
-    progress.switch_config({"bf16": False, "crop": 16})
-    assert progress.note(9) == "after 9 frames: bf16 True -> False"
-    assert progress.config == {"bf16": False, "crop": 16}
+    config = {"bf16": True, "frames": 9}
+    progress = Progress(frames_seen=9, config=config)
+    progress.switch_config(changed := {"bf16": False, "frames": 9})
+    assert progress.note == "after 9 frames: bf16 True -> False"
+    assert progress.config == changed
 
 
 def networks(width: int = 4) -> nn.Module:
@@ -208,3 +209,13 @@ def test_a_run_records_its_start_and_refuses_another(tmp_path, clip_folder):
     assert train(*arguments, tmp_path / "second", config, start=first).weights == second
     with pytest.raises(TrainingError, match="changed: start blur after 6 frames"):
         train(*arguments, tmp_path / "second", config)
+
+
+def test_minutes_to_anneal_take_the_place_of_frames():
+    seen = {"frames_seen": 50, "seconds": 30.0}
+    by_frames = Progress(**seen, config={"frames": 200})
+    by_time = Progress(**seen, config={"frames": 200, "anneal": 2.0})
+    assert (by_frames.fraction_done, by_frames.frames_goal) == (0.25, 200)
+    assert (by_time.fraction_done, by_time.frames_goal) == (0.25, 200)
+    by_time.seconds = 60.0
+    assert (by_time.fraction_done, by_time.frames_goal) == (0.5, 100)

@@ -43,8 +43,6 @@ from rlbench.ops.box_filter import box_mean
 from rlbench.ops.transfer import log_forward
 from rlbench.run import run_clip
 
-__all__ = ["Bound", "measure_clip", "summarize"]
-
 PROGRAM = "python -m methods.ours.experiments.bounds"
 RULE, UNIFORM, FIRST = "accumulate/contrast", "accumulate", "oidn"
 DENSITY_WINDOWS = (3, 7)  # pixels, side of the windows that errors are averaged over

@@ -6,8 +6,6 @@ import argparse
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
-__all__ = ["Options", "make_parser"]
-
 Options = Mapping[str, tuple[str | int | Path | bool, str]]  # defaults and lines of help
 
 

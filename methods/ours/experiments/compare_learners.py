@@ -40,8 +40,6 @@ from methods.ours.policy import (
 )
 from rlbench.ops.init import kaiming_init
 
-__all__ = ["blocks_of_reach", "compare", "initial_sampler", "reinforce", "train_by_learner"]
-
 PROGRAM = "python -m methods.ours.experiments.compare_learners"
 MAX_LR, FINAL_SHARE = 2e-3, 0.1  # learning rate at the start, and its share at the end; linear
 BATCH = 4  # frames of a step; with one, gradients are so noisy that the map's contrast swings

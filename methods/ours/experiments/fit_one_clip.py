@@ -23,8 +23,6 @@ from rlbench.training.batches import Batches
 from rlbench.training.task import TrainingConfig
 from rlbench.training.train_state import TrainState
 
-__all__ = ["fit", "score"]
-
 BUDGETS = (1.0, 4.0)  # samples per pixel, trained and scored
 ORDER_SEED = 77  # of the samples that are scored; training draws other orders
 INTERVAL = 50  # sequences between scores
@@ -46,7 +44,7 @@ def fit(
     while seen < frames:
         clip = batches.sequence(index)
         spp = BUDGETS[index % len(BUDGETS)]
-        state.train_sequence(clip, spp, config.lr_factor(seen), seen / frames)
+        state.train_sequence(clip, spp, config.lr_factor(seen / frames), seen / frames)
         seen, index = seen + len(clip), index + 1
         if index % INTERVAL == 0 or seen >= frames:
             yield seen, score(task.method, state, folder)

@@ -22,8 +22,6 @@ from rlbench.family import Family, Variant
 from rlbench.ops.unet_widths import FAST_WIDTHS
 from rlbench.training.task import TrainingTask
 
-__all__ = ["FAMILY", "build", "training_task"]
-
 BY_RULE = replace(OURS, sampler=())  # the density of the contrast rule alone
 UNROLLS = (1, 2, 3, 6)  # frames that gradients flow back through
 LATENTS = (0, 4, 8, 16)  # channels

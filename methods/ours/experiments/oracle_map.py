@@ -33,8 +33,6 @@ from rlbench.clips.stored import open_clip
 from rlbench.frames import Frame
 from rlbench.system import paths
 
-__all__ = ["FreeDensityMap", "OracleResult", "optimize_map", "score_frame"]
-
 PROGRAM = "python -m methods.ours.experiments.oracle_map"
 BLOCK = 8  # pixels, side of a block
 LEARNING_RATE = 0.05  # of Adam, on values whose tanh is the action

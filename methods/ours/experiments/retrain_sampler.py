@@ -30,8 +30,6 @@ from rlbench.training.task import BUDGETS_FROM_0_05_SPP
 from rlbench.training.train_state import validate, validation_budgets
 from rlbench.weights import ModelCard, load_for_inference, read_card, save
 
-__all__ = ["SamplerTask", "retrain", "train_by_learner"]
-
 PROGRAM = "python -m methods.ours.experiments.retrain_sampler"
 MAX_LR, FINAL_SHARE = 1e-3, 0.1  # learning rate at the start, and its share at the end; linear
 MAX_GRAD_NORM = 1.0

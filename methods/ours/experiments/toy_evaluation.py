@@ -26,16 +26,6 @@ from rlbench.sampling import allocate_counts
 from rlbench.system import paths
 from rlbench.training.surrogate_gradient import relaxed_counts
 
-__all__ = [
-    "TABLE",
-    "Evaluation",
-    "ToyEnv",
-    "Training",
-    "best_counts",
-    "read_scores",
-    "write_csv",
-]
-
 TEST_SEED = 10**6  # of the scenes that samplers are scored on
 FRAME_STRIDE = 7  # frames from one scored frame to the next
 DESCENT_STEPS, DESCENT_RATE = 100, 0.1  # of Adam, where no optimum is known in closed form

@@ -18,21 +18,6 @@ from rlbench.frames import Frame, GBuffer, Reference, Samples, StoredPool
 from rlbench.sampling import allocate_counts
 from rlbench.training.surrogate_gradient import SampleGradient, relaxed_counts
 
-__all__ = [
-    "CHANNELS",
-    "MODES",
-    "STORED_SAMPLES",
-    "Direct",
-    "Filter",
-    "FixedFilter",
-    "Mode",
-    "ToyFrame",
-    "ToyProblem",
-    "greedy_counts",
-    "toy_density",
-    "toy_frames",
-]
-
 DISCS = 14  # in front of a background, which comes last
 LATENT = 32  # channels in place of a recurrent state
 CHANNELS = 7 + LATENT  # normal 3, albedo 3, depth 1, latent

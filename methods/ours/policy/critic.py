@@ -16,8 +16,6 @@ from methods.ours.policy.learner import AllocationProblem, SamplerLearner
 from methods.ours.policy.reinforce import BlockPolicyGradient
 from rlbench.ops.init import kaiming_init
 
-__all__ = ["CriticLearner", "ErrorMap", "ReplayBuffer", "Transition", "make_critic_learner"]
-
 EPS = 1e-8  # squared error; keeps the scale of errors above zero
 ERROR_CLIP = 30.0  # times the mean error, so that no firefly dominates the regression
 

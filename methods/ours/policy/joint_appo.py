@@ -14,8 +14,6 @@ from torch import Tensor, nn
 from rlbench.ops.init import kaiming_init
 from rlbench.ops.padding import crop, pad
 
-__all__ = ["JointAppo", "JointAppoNetwork", "Trajectory", "joint_ratio", "pixel_ratios", "vtrace"]
-
 MULTIPLE = 16  # pixels; observations are padded to a multiple of this
 VALUE_SCALE = 10.0  # the highest reward
 VALUE_WEIGHT = 0.5  # of the value's regression in the loss, as in the release

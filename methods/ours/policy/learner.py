@@ -10,8 +10,6 @@ from torch import Tensor, nn
 
 from rlbench.training.surrogate_gradient import SampleGradient
 
-__all__ = ["AllocationProblem", "Env", "Rollout", "SamplerLearner", "StepResult"]
-
 
 class Rollout(NamedTuple):
     """The results of k actions, each from the same frame and state."""

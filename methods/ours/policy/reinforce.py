@@ -12,15 +12,6 @@ from torch.nn import functional as F
 
 from methods.ours.policy.learner import AllocationProblem, SamplerLearner
 
-__all__ = [
-    "BlockPolicyGradient",
-    "BlockReinforce",
-    "RolloutBatch",
-    "advantage",
-    "budget_coupling",
-    "remove_common_change",
-]
-
 TINY = 1e-8  # avoids a division by zero where all actions have equal results
 MIN_COUNT = 0.1  # samples; smaller usual counts are weighted as this
 

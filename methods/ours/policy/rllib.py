@@ -27,8 +27,6 @@ from methods.ours.policy.joint_appo import pixel_ratios
 from methods.ours.policy.learner import Env
 from methods.ours.policy.reinforce import advantage, budget_coupling, remove_common_change
 
-__all__ = ["GymSamplingEnv", "PixelLearner", "SamplerModule", "algorithm_config"]
-
 RESULT_CHANNELS = 2  # behind the observation: error and count of the previous action
 FINAL_RATE = 0.1  # learning rate at the end, as a share of that at the start
 ADVANTAGE_CLIP = 3.0  # standard deviations

@@ -14,13 +14,6 @@ from methods.ours.policy.reinforce import BlockReinforce
 from rlbench.frames import Frame, Samples
 from rlbench.training.surrogate_gradient import SampleGradient
 
-__all__ = [
-    "CombinedLearner",
-    "SurrogateLearner",
-    "gamma_gradient_per_sample",
-    "kuznetsov_gradient_per_sample",
-]
-
 
 def kuznetsov_gradient_per_sample(
     samples: Samples, relaxed_counts: Float[Tensor, "n 1 h w"], frame: Frame

@@ -11,8 +11,6 @@ from torch import Tensor
 
 from methods.ours.policy.learner import AllocationProblem, SamplerLearner
 
-__all__ = ["StochasticLearner", "SwitchedBlocks"]
-
 TINY = 1e-12  # avoids a division by zero where nothing is switched, or nothing changes
 IMAGE = (0, 2, 3, 4)  # dimensions of [k n 1 h w] that belong to one image
 

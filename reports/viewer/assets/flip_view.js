@@ -2,7 +2,8 @@
 
 import { h } from "viewer/dom.js";
 import { set, state } from "viewer/state.js";
-import { imageLook, methods, picture } from "viewer/workspace.js";
+import { isGallery } from "viewer/data.js";
+import { imageLook, methods, picture, sources } from "viewer/workspace.js";
 
 export const gesture = "split";
 
@@ -21,50 +22,40 @@ export function extras() {
             "data-method": name,
             onclick: (event) => (event.shiftKey ? compareWith(name) : showMethod(name)),
           },
-          h("kbd", {}, i + 1),
+          i < 9 ? h("kbd", {}, i + 1) : null,
           ` ${name}`,
         ),
       ),
-      h(
-        "button",
-        {
-          type: "button",
-          "aria-pressed": String(state.show === "ref"),
-          "data-method": "reference",
-          onclick: toggleReference,
-        },
-        h("kbd", {}, "R"),
-        " reference",
-      ),
-      h(
-        "button",
-        { type: "button", "aria-pressed": String(state.show === "all"), onclick: toggleAll },
-        h("kbd", {}, "G"),
-        " all",
-      ),
-      h(
-        "button",
-        { type: "button", onclick: blink },
-        h("kbd", {}, "space"),
-        ` blink ${state.a} / ${state.b}`,
-      ),
-      h(
-        "button",
-        { type: "button", "aria-pressed": String(state.split >= 0), onclick: toggleSplit },
-        h("kbd", {}, "S"),
-        " split",
-      ),
+      ...toggles(names.length),
     );
   };
   return { element: buttons, update };
 }
 
+/** Buttons of what is shown beside a single method; a single image file has none. */
+function toggles(count) {
+  const toggle = (key, text, onclick, isPressed = null, more = {}) =>
+    h(
+      "button",
+      { type: "button", "aria-pressed": isPressed?.toString(), onclick, ...more },
+      h("kbd", {}, key),
+      ` ${text}`,
+    );
+  const name = { "data-method": "reference" };
+  const all = [
+    toggle("G", "all", toggleAll, state.show === "all"),
+    toggle("space", `blink ${state.a} / ${state.b}`, blink),
+    toggle("S", "split", toggleSplit, state.split >= 0),
+  ];
+  if (isGallery) return count > 1 ? all : [];
+  return [toggle("R", "reference", toggleReference, state.show === "ref", name), ...all];
+}
+
 export function panes() {
   const look = imageLook();
   const pane = (name) => ({ label: name, image: picture(name), look });
-  if (state.show === "all") return ["reference", ...methods()].map(pane);
-  methods().forEach((name) => picture(name)); // so that keys answer at once
-  picture("reference");
+  if (state.show === "all") return sources().map(pane);
+  sources().forEach((name) => picture(name)); // so that keys answer at once
   if (state.split < 0) return [pane(shown())];
   const [left, right] = state.show === "ref" ? [state.a, "reference"] : [state.a, state.b];
   return [

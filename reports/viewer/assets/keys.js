@@ -2,36 +2,46 @@
 
 import { h } from "viewer/dom.js";
 import { set, state } from "viewer/state.js";
+import { isGallery } from "viewer/data.js";
 import { clip, methods } from "viewer/workspace.js";
 import { CURVES } from "viewer/tone.js";
 import * as flip from "viewer/flip_view.js";
 
+const IMAGE_VIEWS = ["flip", "layers", "time"];
+
+/** The views of this page: name, title, key. */
 export const VIEWS = [
-  ["decide", "Decide"],
-  ["flip", "Flip"],
-  ["layers", "Layers"],
-  ["time", "Time"],
-  ["table", "Table"],
-];
-export const IMAGE_VIEWS = ["flip", "layers", "time"];
+  ["decide", "Decide", "d"],
+  ["flip", "Flip", "f"],
+  ["layers", "Layers", "l"],
+  ["time", "Time", "t"],
+  ["table", "Table", "b"],
+].filter(([name]) =>
+  isGallery ? ["flip", "layers"].includes(name) : clip() || !IMAGE_VIEWS.includes(name),
+);
 
 const HELP = [
-  ["d f l t b", "views Decide, Flip, Layers, Time, taBle"],
-  ["1 to 9", "method A; with shift, method B"],
-  ["R", "reference and back"],
+  [
+    VIEWS.map(([, , key]) => key).join(" "),
+    `views ${VIEWS.map(([, title]) => title).join(", ")}`,
+  ],
+  ["1 to 9", isGallery ? "image A; with shift, image B" : "method A; with shift, method B"],
   ["space", "blink between A and B"],
-  ["G", "all methods"],
+  ["G", isGallery ? "all images" : "all methods"],
   ["S", "split A and B; [ and ] move it, and so does a drag"],
   ["E, shift E", "exposure up, down"],
   ["C", "next tone curve"],
-  [", and .", "frame before, after"],
-  ["P", "play and stop"],
-  ["X, Y", "slice through time along the row or column of the listed pixel; so does a drag"],
   ["+ - 0", "zoom in, out, fit; so does the wheel"],
   [
     "arrows",
     "pixel whose values are listed; with shift, move the image, and so does a drag with shift",
   ],
+];
+const HELP_ON_CLIPS = [
+  ["R", "reference and back"],
+  [", and .", "frame before, after"],
+  ["P", "play and stop"],
+  ["X, Y", "slice through time along the row or column of the listed pixel; so does a drag"],
 ];
 
 export function fillHelp(dialog) {
@@ -40,7 +50,7 @@ export function fillHelp(dialog) {
     h(
       "dl",
       {},
-      HELP.map(([key, text]) => [h("dt", {}, h("kbd", {}, key)), h("dd", {}, text)]),
+      [...HELP, ...(isGallery ? [] : HELP_ON_CLIPS)].map(([key, text]) => [h("dt", {}, h("kbd", {}, key)), h("dd", {}, text)]),
     ),
     h("form", { method: "dialog" }, h("button", {}, "Close")),
   );
@@ -61,8 +71,8 @@ export function listen(workspace, dialog) {
 function act(event, workspace, dialog) {
   const { key, code, shiftKey } = event;
   if (key === "?") return dialog.showModal() ?? true;
-  const name = VIEWS.find(([, title]) => title[title === "Table" ? 2 : 0].toLowerCase() === key);
-  if (name) return set({ view: name[0] }) ?? true;
+  const view = VIEWS.find((each) => each[2] === key);
+  if (view) return set({ view: view[0] }) ?? true;
   if (!IMAGE_VIEWS.includes(state.view) || !clip()) return false;
   const digit = /^Digit([1-9])$/.exec(code)?.[1] ?? (/^[1-9]$/.test(key) ? key : null);
   if (digit) return (shiftKey ? flip.compareWith : flip.showMethod)(methods()[digit - 1]) ?? true;
@@ -78,15 +88,8 @@ function actions(shift, { stage }) {
   const split = (by) => () =>
     set({ split: Math.min(Math.max((state.split < 0 ? 0.5 : state.split) + by, 0), 1) });
   const curves = CURVES.map(([name]) => name);
-  return {
+  const onClips = {
     r: flip.toggleReference,
-    " ": flip.blink,
-    g: flip.toggleAll,
-    s: flip.toggleSplit,
-    "[": split(-0.05),
-    "]": split(0.05),
-    e: () => set({ ev: Math.min(Math.max(state.ev + (shift ? -0.5 : 0.5), -8), 8) }),
-    c: () => set({ curve: curves[(curves.indexOf(state.curve) + 1) % curves.length] }),
     ",": step(-1),
     ".": step(1),
     "<": step(-1),
@@ -94,6 +97,16 @@ function actions(shift, { stage }) {
     p: () => document.getElementById("play").click(),
     x: () => set({ line: lineThrough("row") }),
     y: () => set({ line: lineThrough("column") }),
+  };
+  return {
+    ...(isGallery ? {} : onClips),
+    " ": flip.blink,
+    g: flip.toggleAll,
+    s: flip.toggleSplit,
+    "[": split(-0.05),
+    "]": split(0.05),
+    e: () => set({ ev: Math.min(Math.max(state.ev + (shift ? -0.5 : 0.5), -8), 8) }),
+    c: () => set({ curve: curves[(curves.indexOf(state.curve) + 1) % curves.length] }),
     "+": () => stage.zoomBy(1.5),
     "=": () => stage.zoomBy(1.5),
     "-": () => stage.zoomBy(1 / 1.5),

@@ -2,20 +2,30 @@
 
 import { h, select, short, slider } from "viewer/dom.js";
 import { set, state } from "viewer/state.js";
-import { data, maps } from "viewer/data.js";
+import { data, isGallery, maps } from "viewer/data.js";
 import { BUFFERS } from "viewer/pictures.js";
-import { clip, methods, picture } from "viewer/workspace.js";
+import { clip, methods, picture, sources, truth } from "viewer/workspace.js";
 
 export const gesture = "pan";
 
 const OUTSIDE = 512; // motion of more pixels points outside: there is no history
 
-/** Layer: [name, meaning of its scale, colour map]. */
+const ERROR = isGallery ? "difference" : "error";
+
+/** Layer: [name, meaning of its scale, colour map]; TRUTH: what images are compared with. */
 const LAYERS = {
   image: ["image"],
-  signed: ["signed error", "output minus reference in clipped sRGB, mean over channels", "signed"],
-  squared: ["squared error", "squared difference in clipped sRGB, mean over channels", "error"],
-  flip: ["FLIP", "FLIP of clipped sRGB at 67 pixels per degree (Andersson et al. 2020)", "error"],
+  signed: [`signed ${ERROR}`, "image minus TRUTH in clipped sRGB, mean over channels", "signed"],
+  squared: [
+    `squared ${ERROR}`,
+    "squared difference to TRUTH in clipped sRGB, mean over channels",
+    "error",
+  ],
+  flip: [
+    "FLIP",
+    "FLIP to TRUTH, of clipped sRGB at 67 pixels per degree (Andersson et al. 2020)",
+    "error",
+  ],
   counts: ["samples", "samples per pixel", "counts"],
   albedo: ["albedo"],
   normal: ["normal"],
@@ -24,18 +34,20 @@ const LAYERS = {
 };
 
 export function extras() {
-  const present = () =>
-    Object.keys(LAYERS).filter(
-      (name) => !BUFFERS.includes(name) || clip().buffersPresent.includes(name),
-    );
   const layer = select(
     "layer",
     () => present().map((name) => [name, LAYERS[name][0]]),
-    () => state.layer,
+    chosenLayer,
     (value) => set({ layer: value }),
   );
+  const compared = select(
+    "compared with",
+    () => methods().map((name) => [name, name]),
+    () => state.a,
+    (a) => set({ a }),
+  );
   const scale = slider(
-    "end of the error scale",
+    `end of the ${ERROR} scale`,
     { min: -7, max: 0, step: 0.5 },
     () => Math.log2(state.range),
     (power) => set({ range: 2 ** power }),
@@ -45,23 +57,41 @@ export function extras() {
   const [low, high, meaning] = [h("span"), h("span"), h("span", { class: "hint" })];
   const legend = h("div", { class: "legend" }, low, bar, high, meaning);
   const update = async () => {
-    layer.update();
-    scale.update();
-    scale.element.hidden = !["signed", "squared"].includes(state.layer);
-    const [, text, map] = LAYERS[state.layer];
+    [layer, scale, compared].forEach((each) => each.update());
+    const now = chosenLayer();
+    scale.element.hidden = !["signed", "squared"].includes(now);
+    compared.element.hidden = !isGallery || now === "image";
+    const [, text, map] = LAYERS[now];
     legend.hidden = !text;
     if (!text) return;
-    meaning.textContent = text;
+    meaning.textContent = text.replace("TRUTH", truth);
     paint(bar, maps[data.map_of[map]]);
-    const [from, to] = await rangeOf(state.layer);
-    const shown = state.layer === "depth" ? [2 ** from, 2 ** to] : [from, to];
+    const [from, to] = await rangeOf(now);
+    const shown = now === "depth" ? [2 ** from, 2 ** to] : [from, to];
     [low.textContent, high.textContent] = shown.map((value) => short(value, 2));
   };
-  return { element: h("div", { class: "toolbar" }, layer.element, scale.element, legend), update };
+  const controls = [layer, compared, scale].map((each) => each.element);
+  return { element: h("div", { class: "toolbar" }, controls, legend), update };
+}
+
+/** The layers that the page has: a single image file is compared with nothing. */
+function present() {
+  const own = clip().buffersPresent;
+  const compared = methods().length > 1 ? ["signed", "squared", "flip"] : [];
+  return Object.keys(LAYERS).filter((name) =>
+    isGallery
+      ? ["image", ...compared].includes(name)
+      : !BUFFERS.includes(name) || own.includes(name),
+  );
+}
+
+/** The layer of the state, or the image where the page does not have it. */
+export function chosenLayer() {
+  return present().includes(state.layer) ? state.layer : "image";
 }
 
 export function panes() {
-  const { layer } = state;
+  const layer = chosenLayer();
   const map = data.map_of[LAYERS[layer][2] ?? "error"];
   const shader = layer === "flip" || layer === "counts" ? "scalar" : layer;
   const look = {
@@ -74,14 +104,17 @@ export function panes() {
   };
   if (BUFFERS.includes(layer)) return [{ label: LAYERS[layer][0], image: picture(layer), look }];
   if (layer === "image")
-    return ["reference", ...methods()].map((name) => ({ label: name, image: picture(name), look }));
+    return sources().map((name) => ({ label: name, image: picture(name), look }));
   const kind = layer === "flip" || layer === "counts" ? layer : "image";
-  return methods().map((name) => ({
-    label: name,
-    image: picture(name, kind),
-    reference: picture("reference"),
-    look,
-  }));
+  const base = truth();
+  return methods()
+    .filter((name) => name !== base)
+    .map((name) => ({
+      label: name,
+      image: picture(name, kind),
+      reference: picture(base),
+      look,
+    }));
 }
 
 const ranges = new Map();

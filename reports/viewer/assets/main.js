@@ -2,11 +2,11 @@
 
 import { h } from "viewer/dom.js";
 import { set, start, state, subscribe } from "viewer/state.js";
-import { data } from "viewer/data.js";
+import { data, isGallery } from "viewer/data.js";
 import { clip, settle, Workspace } from "viewer/workspace.js";
 import { decideView, firstQuestion } from "viewer/decide_view.js";
 import { tableView } from "viewer/table_view.js";
-import { fillHelp, IMAGE_VIEWS, listen, VIEWS } from "viewer/keys.js";
+import { fillHelp, listen, VIEWS } from "viewer/keys.js";
 import * as flip from "viewer/flip_view.js";
 import * as layers from "viewer/layers_view.js";
 import * as time from "viewer/time_view.js";
@@ -17,16 +17,15 @@ const LOOK = ["clip", "spp", "a", "b", "show", "split", "frame", "layer", "ev", 
 start({ view: data.devices[0]?.decide.length ? "decide" : "table", ...firstQuestion() });
 
 const hasImages = clip() !== null;
-const available = VIEWS.filter(([name]) => hasImages || !IMAGE_VIEWS.includes(name));
 if (hasImages) settle();
-if (!available.some(([name]) => name === state.view)) set({ view: available[0][0] });
+settleView();
 
 const workspace = hasImages ? new Workspace() : null;
 const modes = {};
 let entered = ""; // the view that the page shows
-const pages = { decide: decideView(), table: tableView() };
+const pages = isGallery ? {} : { decide: decideView(), table: tableView() };
 const views = document.getElementById("views");
-const tabs = available.map(([name, title]) =>
+const tabs = VIEWS.map(([name, title]) =>
   h(
     "button",
     {
@@ -42,7 +41,8 @@ const tabs = available.map(([name, title]) =>
 document.getElementById("tabs").append(...tabs);
 views.setAttribute("role", "tabpanel");
 const rounding = h("li", {}, roundingText());
-document.getElementById("remarks").append(...data.remarks.map((text) => h("li", {}, text)), rounding);
+const remarks = [...data.remarks, ...(workspace?.stage.remarks ?? [])];
+document.getElementById("remarks").append(...remarks.map((text) => h("li", {}, text)), rounding);
 
 const help = document.getElementById("help");
 fillHelp(help);
@@ -50,11 +50,17 @@ document.getElementById("help-button").addEventListener("click", () => help.show
 listen(workspace, help);
 
 subscribe((changed) => {
+  settleView();
   if (hasImages && ["clip", "spp", "a", "b", "frame"].some((key) => changed.has(key))) settle();
   show(changed);
 });
 show(new Set());
 window.addEventListener("resize", () => pages[state.view]?.update());
+
+/** A view that the page has; an address may name another one. */
+function settleView() {
+  if (!VIEWS.some(([name]) => name === state.view)) set({ view: VIEWS[0][0] });
+}
 
 function show(changed) {
   tabs.forEach((tab) => {
@@ -94,7 +100,7 @@ function enter(name) {
 function arrange(mode) {
   const put = () => workspace.stage.show(clip(), mode.panes(), mode.gesture, mode.sliceLine);
   put();
-  if (mode === layers) layers.rangeOf(state.layer, () => MODES[state.view] === mode && put());
+  if (mode === layers) layers.rangeOf(layers.chosenLayer(), () => MODES[state.view] === mode && put());
 }
 
 function roundingText() {

@@ -29,21 +29,22 @@ class Clip {
     return BUFFERS.filter((name) => name in this.buffers);
   }
 
-  /** The promise of an image: source is a method, "reference" or a buffer; kind: image, counts, flip. */
-  picture(source, spp, frame, kind = "image") {
-    const key = [source, spp, frame, kind].join("|");
+  /** The promise of an image: source is a method, "reference" or a buffer; kind: image, counts,
+   * or flip, which compares with the source `truth`. */
+  picture(source, spp, frame, kind = "image", truth = "reference") {
+    const key = [source, spp, frame, kind, kind === "flip" ? truth : ""].join("|");
     const known = this.cache.get(key);
     if (known) this.cache.delete(key); // to the end of the order
     const promise =
-      known ?? this.#read(source, spp, frame, kind).then((image) => (promise.image = image));
+      known ?? this.#read(source, spp, frame, kind, truth).then((image) => (promise.image = image));
     this.cache.set(key, promise);
     if (this.cache.size > LIMIT) this.cache.delete(this.cache.keys().next().value);
     return promise;
   }
 
-  async #read(source, spp, frame, kind) {
+  async #read(source, spp, frame, kind, truth) {
     if (kind === "flip") {
-      const images = [this.picture(source, spp, frame), this.picture("reference", 0, frame)];
+      const images = [source, truth].map((name) => this.picture(name, spp, frame));
       return flipMap(...(await Promise.all(images)));
     }
     if (source === "reference") return decode(this.reference[frame]);

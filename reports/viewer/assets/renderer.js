@@ -1,4 +1,6 @@
-// Draws images with WebGL2: tone curves on linear radiance, errors and other layers by colour maps.
+// Draws images with WebGL2 (`plain_renderer.js` without it): tone curves on linear radiance, errors and other layers by colour maps.
+
+import { h } from "viewer/dom.js";
 
 const VERTEX = `#version 300 es
 void main() { gl_Position = vec4(vec2(gl_VertexID & 1, gl_VertexID >> 1) * 4.0 - 1.0, 0, 1); }`;
@@ -64,14 +66,30 @@ export const LAYERS = {
 const CURVES = { srgb: 0, reinhard: 1, hable: 2 };
 const TEXTURES = 300; // that are kept
 
+/** A canvas for a renderer, under the panes of the stage. */
+export function makeCanvas() {
+  return h("canvas", { "aria-hidden": "true" });
+}
+
+/** Fit the size of a canvas to its element; returns device pixels by CSS pixel. */
+export function fitCanvas(canvas) {
+  const scale = window.devicePixelRatio || 1;
+  const [width, height] = [canvas.clientWidth, canvas.clientHeight].map((n) =>
+    Math.max(1, Math.round(n * scale)),
+  );
+  if (canvas.width !== width || canvas.height !== height) Object.assign(canvas, { width, height });
+  return scale;
+}
+
+/** Raises an Error that says why, where the browser cannot draw with WebGL2. */
 export class Renderer {
-  constructor(canvas, maps) {
-    this.canvas = canvas;
-    const gl = canvas.getContext("webgl2", {
+  constructor(maps) {
+    this.canvas = makeCanvas();
+    const gl = this.canvas.getContext("webgl2", {
       preserveDrawingBuffer: true,
       premultipliedAlpha: false,
     });
-    if (!gl) throw new Error("images need WebGL2, which this browser has not, or not switched on");
+    if (!gl) throw new Error("this browser does not have it, or has it switched off");
     this.gl = gl;
     this.program = link(gl);
     gl.useProgram(this.program);
@@ -89,13 +107,8 @@ export class Renderer {
   /** Clear the canvas and fit its size to its element, in device pixels. */
   begin() {
     const { gl, canvas } = this;
-    this.scale = window.devicePixelRatio || 1;
-    const [width, height] = [canvas.clientWidth, canvas.clientHeight].map((n) =>
-      Math.max(1, Math.round(n * this.scale)),
-    );
-    if (canvas.width !== width || canvas.height !== height)
-      Object.assign(canvas, { width, height });
-    gl.scissor(0, 0, width, height);
+    this.scale = fitCanvas(canvas);
+    gl.scissor(0, 0, canvas.width, canvas.height);
     gl.clearColor(0, 0, 0, 0);
     gl.clear(gl.COLOR_BUFFER_BIT);
   }

@@ -3,7 +3,7 @@
 import { h } from "viewer/dom.js";
 import { set, state } from "viewer/state.js";
 import { tone } from "viewer/tone.js";
-import { clip, methods, picture } from "viewer/workspace.js";
+import { clip, picture, sources } from "viewer/workspace.js";
 
 /** The line of the slice; by default the middle row. */
 export function sliceLine() {
@@ -24,7 +24,7 @@ export async function drawSlices(element) {
   if (element.dataset.key === key) return;
   element.dataset.key = key;
   const figures = await Promise.all(
-    ["reference", ...methods()].map(async (name) => {
+    sources().map(async (name) => {
       const frames = await Promise.all(
         Array.from({ length: now.frames }, (_, frame) => picture(name, "image", frame)),
       );

@@ -2,6 +2,7 @@
 
 import { h, s } from "viewer/dom.js";
 import { set, state } from "viewer/state.js";
+import { PlainRenderer } from "viewer/plain_renderer.js";
 import { Renderer } from "viewer/renderer.js";
 import { maps } from "viewer/data.js";
 
@@ -9,7 +10,14 @@ const MAX_ZOOM = 64;
 
 export class Stage {
   constructor() {
-    this.canvas = h("canvas", { "aria-hidden": "true" });
+    this.remarks = []; // on what the browser lacks
+    try {
+      this.renderer = new Renderer(maps);
+    } catch (error) {
+      this.renderer = new PlainRenderer(maps);
+      this.remarks.push(`Images are drawn without WebGL2, more slowly: ${error.message}.`);
+    }
+    this.canvas = this.renderer.canvas;
     this.grid = h("div", { class: "panes" });
     this.element = h(
       "div",
@@ -19,11 +27,6 @@ export class Stage {
     );
     this.panes = [];
     this.pointers = new Map();
-    try {
-      this.renderer = new Renderer(this.canvas, maps);
-    } catch (error) {
-      this.grid.append(h("p", { class: "failure", role: "alert" }, error.message));
-    }
     new ResizeObserver(() => this.draw()).observe(this.element);
     this.#listen();
   }
@@ -32,7 +35,6 @@ export class Stage {
    * drag does: split, pan or line; `line` gives the ends of the line, x0, y0, x1, y1. */
   show(clip, panes, gesture, line = null) {
     Object.assign(this, { clip, panes, gesture, line });
-    if (!this.renderer) return;
     this.element.dataset.gesture = gesture;
     const boxes = panes.map((pane) =>
       h(
@@ -60,7 +62,7 @@ export class Stage {
   }
 
   draw() {
-    if (!this.renderer || !this.panes.length || !this.element.isConnected) return;
+    if (!this.panes.length || !this.element.isConnected) return;
     cancelAnimationFrame(this.due);
     this.due = requestAnimationFrame(() => this.#draw());
   }

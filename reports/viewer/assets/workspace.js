@@ -3,6 +3,7 @@
 import { h, select, short, slider } from "viewer/dom.js";
 import { set, state } from "viewer/state.js";
 import { CURVES, srgb } from "viewer/tone.js";
+import { isGallery } from "viewer/data.js";
 import { clips } from "viewer/pictures.js";
 import { Stage } from "viewer/stage.js";
 
@@ -18,6 +19,16 @@ export function methods() {
   return clip()?.methods(state.spp) ?? [];
 }
 
+/** What images are compared with: the reference, or among image files method A. */
+export function truth() {
+  return isGallery ? state.a : "reference";
+}
+
+/** All that a pane can show, the reference first. */
+export function sources() {
+  return isGallery ? methods() : ["reference", ...methods()];
+}
+
 /** The clip, budget, frame and methods of the state, put right where the clip does not have them. */
 export function settle() {
   const now = clip();
@@ -27,12 +38,13 @@ export function settle() {
   const a = names.includes(state.a) ? state.a : names[0];
   const b =
     names.includes(state.b) && state.b !== a ? state.b : (names.find((name) => name !== a) ?? a);
-  set({ spp, a, b, frame: Math.min(Math.max(0, state.frame), now.frames - 1) });
+  const show = isGallery && state.show === "ref" ? "a" : state.show;
+  set({ spp, a, b, show, frame: Math.min(Math.max(0, state.frame), now.frames - 1) });
 }
 
 /** Promise of an image of the clip at the present budget and frame. */
 export function picture(source, kind = "image", frame = state.frame) {
-  return clip().picture(source, state.spp, frame, kind);
+  return clip().picture(source, state.spp, frame, kind, truth());
 }
 
 /** How the stage shows the image itself: tone curve and exposure of the state, no split. */
@@ -45,7 +57,7 @@ export class Workspace {
   constructor() {
     this.stage = new Stage();
     const stops = { min: -8, max: 8, step: 0.25 };
-    this.controls = [
+    const ofClips = [
       select(
         "clip",
         () => clips.map((each, i) => [i, each().name]),
@@ -58,6 +70,8 @@ export class Workspace {
         () => state.spp,
         (value) => set({ spp: Number(value) }),
       ),
+    ];
+    const ofImages = [
       slider(
         "exposure",
         stops,
@@ -71,14 +85,15 @@ export class Workspace {
         () => state.curve,
         (curve) => set({ curve }),
       ),
-      (this.scrubber = slider(
-        "frame",
-        { min: 0, step: 1 },
-        () => state.frame,
-        (frame) => set({ frame }),
-        (frame) => `${frame}`,
-      )),
     ];
+    this.scrubber = slider(
+      "frame",
+      { min: 0, step: 1 },
+      () => state.frame,
+      (frame) => set({ frame }),
+      (frame) => `${frame}`,
+    );
+    this.controls = isGallery ? ofImages : [...ofClips, ...ofImages, this.scrubber];
     this.rate = h(
       "select",
       { "aria-label": "frames a second" },
@@ -96,7 +111,7 @@ export class Workspace {
       "div",
       { class: "toolbar" },
       this.controls.map((each) => each.element),
-      h("span", { class: "field" }, this.playButton, this.rate),
+      isGallery ? null : h("span", { class: "field" }, this.playButton, this.rate),
     );
   }
 
@@ -126,68 +141,58 @@ export class Workspace {
         h(
           "p",
           { class: "hint" },
-          "Point at a pixel, or move with the arrow keys, for the values of all methods.",
+          "Point at a pixel, or move with the arrow keys, for its values in all images.",
         ),
       );
       return;
     }
-    const names = methods();
     const now = clip();
+    const names = sources();
+    const base = truth();
     const at = (image) => image.planes.map((plane) => plane[py * now.width + px]);
-    const [truth, ...rest] = await Promise.all([
-      picture("reference"),
-      ...names.map((name) => picture(name)),
-      ...names.map((name) => picture(name, "counts")),
-      ...now.buffersPresent.map((name) => picture(name)),
+    const valuesOf = async (all, kind) =>
+      (await Promise.all(all.map((name) => picture(name, kind)))).map(at);
+    const counted = isGallery ? [] : methods();
+    const [values, counts, buffers] = await Promise.all([
+      valuesOf(names),
+      valuesOf(counted, "counts"),
+      valuesOf(now.buffersPresent),
     ]);
-    if (px !== state.px || py !== state.py || frame !== state.frame) return; // it has moved on
-    const reference = at(truth);
-    const row = (name, values, counts) => {
-      const errors = values.map((value, c) => srgb(value) - srgb(reference[c]));
+    const isNow = px === state.px && py === state.py && frame === state.frame;
+    if (!isNow || base !== truth()) return; // it has moved on
+    const expected = values[names.indexOf(base)];
+    const row = (name, i) => {
+      const errors = values[i].map((value, c) => srgb(value) - srgb(expected[c]));
       const error = errors.reduce((sum, each) => sum + each, 0) / 3;
+      const [count] = counts[counted.indexOf(name)] ?? [];
       return h(
         "tr",
         { "data-row": name },
         h("th", { scope: "row" }, name),
-        values.map((value) => h("td", {}, short(value))),
-        h("td", {}, counts === null ? "" : short(error, 2)),
-        h("td", {}, counts === null ? "" : short(counts)),
+        values[i].map((value) => h("td", {}, short(value))),
+        h("td", {}, name === base ? "" : short(error, 2)),
+        isGallery ? null : h("td", {}, count === undefined ? "" : short(count)),
       );
     };
-    const n = names.length;
-    const buffers = now.buffersPresent.map(
-      (name, i) =>
-        `${name} ${at(rest[2 * n + i])
-          .map((value) => short(value, 2))
-          .join(", ")}`,
-    );
+    const columns = ["", "R", "G", "B", ...(isGallery ? ["minus A"] : ["error", "samples"])];
+    const meaning = `R, G, B: linear radiance; ${columns[4]}: mean over channels of clipped sRGB`;
     this.readout.replaceChildren(
       h(
         "table",
         {},
-        h("caption", {}, `pixel ${px}, ${py} of frame ${frame}`),
-        h(
-          "thead",
-          {},
-          h(
-            "tr",
-            {},
-            ["", "R", "G", "B", "error", "samples"].map((text) => h("th", { scope: "col" }, text)),
-          ),
-        ),
-        h(
-          "tbody",
-          {},
-          row("reference", reference, null),
-          names.map((name, i) => row(name, at(rest[i]), at(rest[n + i])[0])),
-        ),
+        h("caption", {}, `pixel ${px}, ${py}${isGallery ? "" : ` of frame ${frame}`}`),
+        h("thead", {}, h("tr", {}, columns.map((text) => h("th", { scope: "col" }, text)))),
+        h("tbody", {}, names.map(row)),
       ),
       h(
         "p",
         { class: "hint" },
-        [...buffers, "R, G, B: linear radiance; error: mean over channels of clipped sRGB"].join(
-          "; ",
-        ),
+        [
+          ...now.buffersPresent.map(
+            (name, i) => `${name} ${buffers[i].map((value) => short(value, 2)).join(", ")}`,
+          ),
+          meaning,
+        ].join("; "),
       ),
     );
   }

@@ -25,23 +25,6 @@ from rlbench.system import documents, paths
 if TYPE_CHECKING:
     import pandas as pd
 
-__all__ = [
-    "Baseline",
-    "BaselineEntry",
-    "BaselineError",
-    "Score",
-    "ScoreKey",
-    "allowed_falls",
-    "find_baseline",
-    "load_baseline",
-    "only_preset",
-    "scores",
-    "seeds",
-    "shipped_baselines",
-    "to_table",
-    "update_baseline",
-]
-
 SHIPPED = Path(__file__).parent / "baselines"
 SCHEMA = 3
 TOLERANCE_DB = 0.05  # two machines differ by less in float32, a broken method by more

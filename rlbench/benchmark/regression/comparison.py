@@ -33,17 +33,6 @@ if TYPE_CHECKING:
     from rlbench.benchmark.latency import Timing
     from rlbench.benchmark.speed import Configuration
 
-__all__ = [
-    "BaselineDiff",
-    "RegressionReport",
-    "SpeedGate",
-    "SpeedResult",
-    "compare",
-    "judge",
-    "measure_gates",
-    "parse_gate",
-]
-
 SHOWN_DB = 0.01  # a fall by this much is shown, even where it is allowed
 FAILING = ("worse", "missing")
 SHOWN = (*FAILING, "lower", "better", "new")  # in this order

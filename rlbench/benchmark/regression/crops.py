@@ -24,8 +24,6 @@ if TYPE_CHECKING:
     from rlbench.benchmark.clip_sources import StoredSource
     from rlbench.benchmark.frame_images import LinearImage
 
-__all__ = ["Crops", "select_tile", "write_crops"]
-
 SIDE, STEP = 64, 8  # pixels of a crop, and between two that are compared
 SCALE = 4  # pixels of the file for one of the image
 MAX_DIFFERENCE = 0.25  # of sRGB values, mean over channels, at the end of the scale

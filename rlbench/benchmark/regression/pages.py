@@ -24,8 +24,6 @@ from rlbench.benchmark.regression.comparison import (
 from rlbench.benchmark.regression.crops import Crops
 from rlbench.system import paths
 
-__all__ = ["append_to_job_summary", "markdown", "write_junit", "write_summary"]
-
 JOB_SUMMARY = "GITHUB_STEP_SUMMARY"  # a file whose Markdown GitHub shows with a job
 SUITE = "rlbench.regress"
 UNCOMPARED = ("new", "skipped")

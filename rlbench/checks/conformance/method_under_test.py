@@ -33,8 +33,6 @@ from rlbench.run import FrameResult, run_clip
 from rlbench.system import provenance
 from rlbench.wrappers import MethodWrapper
 
-__all__ = ["Check", "MethodUnderTest", "RecordedRun", "RecordingMethod", "requirement"]
-
 DEFAULT_SPP = 0.6  # samples per pixel: leaves pixels without a sample where the method allows it
 POOL_SPP = 8  # samples per pixel in the pool
 FRAMES = 3  # one without history, one with, and one whose history has a history

@@ -1,24 +1,18 @@
-"""Run one check or all of them, and print a tick list per method: the command `rlbench check`."""
+"""Run one check of a method, or all checks of several methods."""
 
 from __future__ import annotations
 
-import traceback
 from collections.abc import Iterable, Iterator, Sequence
-from functools import partial
 
 import torch
-from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, TextColumn, TimeRemainingColumn
 
 from rlbench import registry
 from rlbench.checks.conformance import interface_checks, state_checks
 from rlbench.checks.conformance.method_under_test import Check, MethodUnderTest
-from rlbench.checks.console import OnResults, print_results
 from rlbench.checks.result import CheckResult, Verdict, failed, not_applicable, passed
 from rlbench.checks.returns import Fault, WrongReturnError
 from rlbench.system.progress import LoggedProgress
-
-__all__ = ["CHECKS", "check_methods", "run_check", "run_checks", "select_methods"]
 
 CHECKS = {  # in the order in which they are defined
     check.name: check
@@ -52,20 +46,13 @@ def run_checks(method_under_test: MethodUnderTest) -> Iterator[tuple[Check, Chec
 
 
 def check_methods(
-    patterns: Sequence[str],
-    device: torch.device,
-    debug: bool = False,
-    on_results: OnResults | None = None,
-) -> bool:
-    """Run all checks on the selected methods and print the results. Returns False if one failed.
+    patterns: Sequence[str], device: torch.device
+) -> Iterator[tuple[str, Iterable[CheckResult]]]:
+    """The name of each selected method, and the results of all checks as they are made.
 
-    With `debug`, the traceback of an exception follows its line. `on_results` receives the results
-    and the name of each method in place of the printing. A family that cannot be imported has
-    failed: with `all` each, otherwise those of `registry.with_broken`. Raises PluginError for an
-    unknown name.
+    A family that cannot be imported has failed: with `all` each, otherwise those of
+    `registry.with_broken`. Raises PluginError for an unknown name.
     """
-    console = Console(quiet=on_results is not None)
-    show = on_results or partial(print_results, console=console)
     methods = select_methods(patterns, device)
     broken = _find_import_errors() if "all" in patterns else {}
     for each in methods:
@@ -73,9 +60,8 @@ def check_methods(
             broken[each.name] = str(failure)
     methods = [each for each in methods if each.name not in broken]
     for name, error in broken.items():
-        show([failed("be importable", error, IMPORTABLE)], title=name)
+        yield name, [failed("be importable", error, IMPORTABLE)]
     noun = "method" if len(methods) == 1 else "methods"
-    nonconforming = list(broken)
     with LoggedProgress(*COLUMNS, TimeRemainingColumn(), transient=True) as bar:
         bar.console.print(
             f"{len(methods)} {noun}, {len(CHECKS)} checks each: seconds for a method without "
@@ -85,11 +71,7 @@ def check_methods(
         )
         bar.add_task("checking", total=len(methods) * len(CHECKS))
         for each in methods:
-            if not show(_results(each, console, bar, debug), title=each.name):
-                nonconforming.append(each.name)
-    summary = f"failed: {', '.join(nonconforming)}" if nonconforming else "none failed"
-    console.print(f"{len(methods)} {noun} checked; {summary}")
-    return not nonconforming
+            yield each.name, _results(each, bar)
 
 
 def select_methods(patterns: Iterable[str], device: torch.device) -> list[MethodUnderTest]:
@@ -110,9 +92,7 @@ def _find_import_errors() -> dict[str, str]:
     return {name: error for name in names if (error := registry.import_error("methods", name))}
 
 
-def _results(
-    tested: MethodUnderTest, console: Console, bar: LoggedProgress, debug: bool
-) -> Iterator[CheckResult]:
+def _results(tested: MethodUnderTest, bar: LoggedProgress) -> Iterator[CheckResult]:
     """The result of every check, shown on the bar; or the reason why none can run here."""
     (task,) = bar.task_ids
     if reason := tested.unavailable_reason:
@@ -124,9 +104,6 @@ def _results(
         result = run_check(tested, name)
         bar.advance(task)
         yield result
-        if debug and result.error:
-            lines = traceback.format_exception(result.error)
-            console.print("".join(lines), markup=False, highlight=False, soft_wrap=True)
 
 
 def _run(tested: MethodUnderTest, check: Check) -> CheckResult:

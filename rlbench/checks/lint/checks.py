@@ -1,20 +1,18 @@
-"""All checks of clips: run them, print tick lists, draw figures.
+"""All checks of clips, and their figures.
 
 No value is NaN, infinite or negative. What a clip declares not to have is a warning, no failure.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import sys
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
-from functools import partial
 from pathlib import Path
 
 import torch
-from rich.console import Console
 from torch import Tensor
 
-from rlbench.checks.console import OnResults, print_results
 from rlbench.checks.lint.clip_arrays import ClipArrays, read_clip_arrays
 from rlbench.checks.lint.edges import (
     check_albedo,
@@ -152,30 +150,22 @@ def fit_depth(arrays: ClipArrays) -> dict[str, DepthFit]:
 
 
 def lint_clips(
-    folders: Sequence[Path],
-    figure: Path | None = None,
-    frames: int = 8,
-    on_results: OnResults | None = None,
-) -> bool:
-    """Check clip folders and print the results. Returns False if a check failed.
-
-    `on_results` receives the results and the title of each clip in place of the printing.
+    folders: Sequence[Path], figure: Path | None = None, frames: int = 8
+) -> Iterator[tuple[str, list[CheckResult]]]:
+    """The title of each clip folder, and the results of its checks.
 
     Reads the first `frames` frames of each clip (0: all). `figure` is a PNG to write; with several
     clips, each has its own, with the folder's name appended. Raises ClipError where a folder is not
     a finished clip.
     """
-    console, all_passed = Console(quiet=on_results is not None), True
-    show = on_results or partial(print_results, console=console)
     for folder in folders:
         arrays = read_clip_arrays(folder, frames)
         results = lint_clip(arrays)
-        all_passed &= show(results, title=_title(arrays))
+        yield _title(arrays), results
         if figure:
             numbered = figure.with_name(f"{figure.stem}-{folder.name}.png")
             path = draw_figure(arrays, results, numbered if len(folders) > 1 else figure)
-            console.print(f"figure: {path}", highlight=False)
-    return all_passed
+            sys.stderr.write(f"figure: {path}\n")
 
 
 def _title(arrays: ClipArrays) -> str:

@@ -16,6 +16,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from rlbench import registry
+from rlbench.checks.result import CheckResult, warning
 from rlbench.clips.exr import read_exr
 from rlbench.clips.frame_files import channel_names, exr_path, image_names
 from rlbench.clips.header import ClipError, Header, read_header
@@ -70,6 +71,12 @@ class ClipArrays:
         """Where depth shows a surface, bool."""
         depth = self.gbuffer["depth"]
         return depth.isfinite() & (depth != 0)
+
+
+def absent(buffer: str) -> CheckResult:
+    """The result of the check of a buffer that a clip does not have."""
+    found = f"the clip has no {buffer} buffer"
+    return warning(buffer, found, "write one if a method needs it as input")
 
 
 def read_clip_arrays(folder: Path, frames: int = 8) -> ClipArrays:

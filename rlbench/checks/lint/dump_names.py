@@ -23,8 +23,6 @@ from rlbench.clips.importers.image_files import list_channels, read_exr
 from rlbench.clips.importers.layout import Layout
 from rlbench.clips.importers.sequence import Pixels, SourceError
 
-__all__ = ["NamedImage", "classify", "find_named_images", "list_unclaimed"]
-
 WORDS = {  # of layers, parts, files and folders, the preferred first; the longest that fits counts
     "reference": ("reference", "ref", "converged", "groundtruth", "gt", "target"),
     "motion": (

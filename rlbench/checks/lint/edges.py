@@ -10,7 +10,7 @@ from jaxtyping import Float
 from torch import Tensor
 from torch.nn import functional as F
 
-from rlbench.checks.lint.clip_arrays import ClipArrays
+from rlbench.checks.lint.clip_arrays import ClipArrays, absent
 from rlbench.checks.result import CheckResult, failed, passed, warning
 
 GAP = 3  # pixels between two compared ones: radiance is filtered over a pixel, albedo is not
@@ -29,9 +29,7 @@ STORED = "as stored"
 def check_albedo(arrays: ClipArrays) -> CheckResult:
     """Is albedo linear, in [0, 1], and not black?"""
     if "albedo" not in arrays.gbuffer:
-        return warning(
-            "albedo", "the clip has no albedo buffer", "write one if a method needs it as input"
-        )
+        return absent("albedo")
     albedo = arrays.gbuffer["albedo"]
     low, high = float(albedo.min()), float(albedo.max())
     outside = float(((albedo < -1e-3) | (albedo > 1.001)).float().mean())

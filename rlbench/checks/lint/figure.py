@@ -10,8 +10,8 @@ from typing import TYPE_CHECKING
 import torch
 from torch import Tensor
 
+from rlbench.checks.display import to_display
 from rlbench.checks.lint.clip_arrays import ClipArrays
-from rlbench.checks.lint.radiance import to_display
 from rlbench.checks.result import CheckResult, Verdict
 from rlbench.ops.reprojection import reproject
 from rlbench.system.paths import atomic_write

@@ -11,8 +11,6 @@ from collections import defaultdict
 from collections.abc import Callable, Iterable, Sequence
 from typing import NamedTuple
 
-__all__ = ["find_patterns"]
-
 NUMBER = re.compile(r"(?:(?<=[/._ -])-|^-)?\d+")  # a sign stands after a separator
 KINDS = {  # of a number, by the word before it; `spp` may be after it
     "frame": ("frame", "fr", "f"),

@@ -15,7 +15,7 @@ import torch
 from jaxtyping import Bool, Float
 from torch import Tensor
 
-from rlbench.checks.lint.clip_arrays import ClipArrays
+from rlbench.checks.lint.clip_arrays import ClipArrays, absent
 from rlbench.checks.result import CheckResult, failed, passed, warning
 from rlbench.ops.reprojection import reproject
 
@@ -177,9 +177,7 @@ def check_normals(
     G-buffer is flipped (`is_upright` is False), world-space normals look mirrored and are accepted.
     """
     if "normal" not in arrays.gbuffer:
-        return warning(
-            "normal", "the clip has no normal buffer", "write one if a method needs it as input"
-        )
+        return absent("normal")
     normal = arrays.gbuffer["normal"]
     if is_encoded(normal):
         found = "encoded in [0, 1]: 2 n - 1 has unit length"
@@ -272,9 +270,7 @@ def check_depth(arrays: ClipArrays, fits: dict[str, DepthFit]) -> CheckResult:
     `fits` is the result of `rlbench.checks.lint.checks.fit_depth` for these arrays.
     """
     if "depth" not in arrays.gbuffer:
-        return warning(
-            "depth", "the clip has no depth buffer", "write one if a method needs it as input"
-        )
+        return absent("depth")
     depth = arrays.gbuffer["depth"]
     finite = depth[depth.isfinite()]
     if not len(finite) or float(finite.max()) <= 0:

@@ -16,8 +16,6 @@ from torch.nn import functional
 from rlbench.checks.lint.clip_arrays import ClipArrays
 from rlbench.ops.reprojection import reproject
 
-__all__ = ["REMEDY", "find_jitter_fault", "frame_disagreements"]
-
 MAX_FRAMES = 3  # pairs of frames that are compared
 STEPS = 8  # of Gauss and Newton
 MIN_SIZE = 0.15  # pixels, root of the mean square: less is interpolation and noise, up to 0.11

@@ -13,16 +13,15 @@ from jaxtyping import Float
 from torch import Tensor
 from torch.nn import functional as F
 
+from rlbench.checks.display import CAP_DB, to_display
 from rlbench.checks.lint.clip_arrays import ClipArrays
 from rlbench.checks.result import CheckResult, failed, passed, warning
-from rlbench.ops.color import encode_srgb
 
 BLOCK = 8  # pixels: noise may be correlated between neighbours within a block
 WINDOW = 17  # pixels: side of the neighbourhood of a pixel
 EPS = 1e-2  # of the mean radiance: keeps black pixels from dominating
 SIGMAS = 5.0  # standard errors by which a value must deviate
 MAX_FILTERED = 0.1  # correlation of a half's noise with the next pixel; more comes from a filter
-MAX_PSNR = 100.0  # dB
 MAX_CORRELATION = 0.05  # of independent samples; our clips scatter by a tenth of it
 FAIL_CORRELATION = 0.15  # from which on a check fails instead of warning
 MAX_COMMON_NOISE = 0.3  # excess of the error of the mean over that predicted from the samples
@@ -190,7 +189,7 @@ def noise_ceiling_db(arrays: ClipArrays) -> float:
     exposure = arrays.header.exposure
     a, b = (to_display(half * exposure) for half in (arrays.half_a, arrays.half_b))
     mse = float((a - b).double().square().mean()) / 4
-    return min(MAX_PSNR, -10 * math.log10(max(mse, 1e-30)))
+    return min(CAP_DB, -10 * math.log10(max(mse, 1e-30)))
 
 
 def check_exposure(arrays: ClipArrays) -> CheckResult:
@@ -212,11 +211,6 @@ def check_exposure(arrays: ClipArrays) -> CheckResult:
     if clipped > MANY_CLIPPED or mean < DARK:
         return warning(check, found, remedy)
     return passed(check, found)
-
-
-def to_display(radiance: Float[Tensor, "*n 3 h w"]) -> Float[Tensor, "*n 3 h w"]:
-    """Clipped sRGB values of exposed radiance."""
-    return encode_srgb(radiance.clamp(0, 1))
 
 
 def check_samples(arrays: ClipArrays) -> CheckResult:

@@ -13,8 +13,6 @@ from rlbench.checks.result import CheckResult, Limits, judge
 from rlbench.checks.stress.section import SuiteSection, attempt
 from rlbench.sampling import allocate_counts
 
-__all__ = ["DENSITIES", "SECTION"]
-
 SIZES = ((1, 1), (1, 17), (7, 9), (77, 123), (1080, 1920), (2160, 3840))  # height and width
 QUICK_SIZES = SIZES[:4]
 BUDGETS = (0.0, 0.01, 0.5, 2.3, 8.0)  # samples per pixel
@@ -99,6 +97,4 @@ def _count_wrong(density: Tensor, total: int, floor: int) -> int:
     return missed + outside + uneven
 
 
-SECTION = SuiteSection(
-    "allocation", "Does every density become counts of exactly the budget?", _run
-)
+SECTION = SuiteSection(_run)

@@ -12,9 +12,9 @@ from itertools import pairwise
 
 import torch
 
+from rlbench.checks.display import to_display
 from rlbench.checks.result import CheckResult, Limits, failed, judge, not_applicable, passed
 from rlbench.checks.stress.allocation import DENSITIES
-from rlbench.checks.stress.display import to_display
 from rlbench.checks.stress.section import MethodSection, StressedMethod, attempt, report_exception
 from rlbench.checks.stress.wrappers import PlannedDensity
 from rlbench.clips.procedural.clip import procedural_clip
@@ -22,8 +22,6 @@ from rlbench.frames import Size
 from rlbench.method import Method
 from rlbench.run import FrameResult
 from rlbench.sampling import BudgetError
-
-__all__ = ["SECTION"]
 
 SEED = 8
 SMALL = (48, 64)  # height and width, where the size does not matter
@@ -169,4 +167,4 @@ def _psnr(frames: list[FrameResult]) -> float:
     return float(-10 * torch.stack(errors).mean().clamp_min(1e-10).log10())
 
 
-SECTION = MethodSection("budgets", "Does every budget, density and image size work?", _run)
+SECTION = MethodSection(_run)

@@ -35,19 +35,6 @@ from rlbench.parallel.executor import LOCAL, Executor, ProgressCallback
 from rlbench.parallel.process_executor import ProcessExecutor
 from rlbench.system import code_hash, paths, provenance
 
-__all__ = [
-    "FinishedJob",
-    "StressJob",
-    "content_hash",
-    "default_executor",
-    "is_for_suite",
-    "plan_jobs",
-    "read_results",
-    "result_row",
-    "run_jobs",
-    "write_results",
-]
-
 _logger = logging.getLogger(__name__)
 
 RUN = "run"  # name of the test that a section could not finish, or could not begin

@@ -16,9 +16,9 @@ import torch
 from jaxtyping import Float
 from torch import Tensor, nn
 
+from rlbench.checks.display import psnr
 from rlbench.checks.frame_edits import join_clips
 from rlbench.checks.result import CheckResult, Limits, judge, not_applicable
-from rlbench.checks.stress.display import psnr
 from rlbench.checks.stress.section import MethodSection, StressedMethod
 from rlbench.checks.tensors import iterate_parts, iterate_tensors
 from rlbench.clips.in_memory import ComputedFrames, InMemoryClip
@@ -27,8 +27,6 @@ from rlbench.frames import Frame, GBuffer, Samples, Size, StoredPool
 from rlbench.method import State
 from rlbench.run import FrameResult, run_clip
 from rlbench.wrappers import HalfPrecision
-
-__all__ = ["MOVING", "SECTION", "STATIC", "long_clip", "run"]
 
 FRAMES, VARIANT_FRAMES, HALF_FRAMES, QUICK_FRAMES = 1000, 400, 220, 48
 WINDOW, QUICK_WINDOW = 100, 16  # frames over which a PSNR is averaged
@@ -307,4 +305,4 @@ def count_live_bytes() -> int:
     return sum({storage.data_ptr(): storage.nbytes() for storage in storages}.values())
 
 
-SECTION = MethodSection("long-runs", "Does it stay stable, and converge, over 1,000 frames?", run)
+SECTION = MethodSection(run)

@@ -10,7 +10,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
-from typing import Any
+from typing import TYPE_CHECKING
 
 import torch
 from torch import Tensor
@@ -19,7 +19,8 @@ from rlbench import registry
 from rlbench.checks.result import CheckResult, Limits, Verdict, not_applicable
 from rlbench.checks.stress.section import SuiteSection, report_exception
 
-__all__ = ["SECTION", "stress_metric"]
+if TYPE_CHECKING:
+    from metrics.metric import Metric
 
 SIZE, TINY = (192, 176), (7, 9)  # height and width; MS-SSIM needs sides above 160 pixels
 SEED = 11
@@ -51,7 +52,7 @@ class StressedMetric:
     """A metric with its score of an equal image and of a slightly noisy one."""
 
     name: str
-    metric: Any  # as metrics.metric.Metric
+    metric: Metric
     equal: float = field(default=math.nan)
     noisy: float = field(default=math.nan)
 
@@ -85,7 +86,7 @@ def _run(is_quick: bool) -> Iterator[CheckResult]:
             yield from stress_metric(name, metric) if metric.scored_by_run else ()
 
 
-def stress_metric(name: str, metric: Any) -> Iterator[CheckResult]:
+def stress_metric(name: str, metric: Metric) -> Iterator[CheckResult]:
     """One result for each pair of images; only one if an equal image has no finite score."""
     if "counts" in metric.needs or metric.scores_previous:
         found = (
@@ -195,4 +196,4 @@ def _references(height: int, width: int) -> list[Tensor]:
     return [(channels * (frame + 1).square() / 4).contiguous() for frame in frames]
 
 
-SECTION = SuiteSection("metrics", "Does every metric notice a broken image?", _run)
+SECTION = SuiteSection(_run)

@@ -12,9 +12,9 @@ from typing import Any
 import torch
 from torch import Tensor, nn
 
+from rlbench.checks.display import largest_difference, psnr
 from rlbench.checks.frame_edits import edit_tensors, select_clip, to_clip
 from rlbench.checks.result import CheckResult, Limits, judge, not_applicable
-from rlbench.checks.stress.display import largest_difference, psnr
 from rlbench.checks.stress.section import MethodSection, StressedMethod
 from rlbench.checks.stress.wrappers import RecordDensity, ReplayDensity
 from rlbench.clips.in_memory import InMemoryClip
@@ -22,8 +22,6 @@ from rlbench.clips.procedural.clip import procedural_clip
 from rlbench.frames import Size
 from rlbench.method import Method
 from rlbench.wrappers import HalfPrecision
-
-__all__ = ["SECTION", "convert_method", "run"]
 
 SEED = 7200
 CLIPS = 3  # in the batch; all other tests run the first one alone
@@ -271,6 +269,4 @@ def _thread_count(threads: int) -> Iterator[None]:
         torch.set_num_threads(before)
 
 
-SECTION = MethodSection(
-    "precision", "How much do precision, threads, batch and device change the image?", run
-)
+SECTION = MethodSection(run)

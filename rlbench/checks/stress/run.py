@@ -26,12 +26,9 @@ from rlbench.checks.stress.jobs import (
     run_jobs,
 )
 from rlbench.checks.stress.section import select_sections
-from rlbench.parallel.executor import Executor
 from rlbench.system import paths, provenance
 from rlbench.system.folder_lock import locked_folder
 from rlbench.system.progress import is_shown
-
-__all__ = ["VERDICT_NAMES", "count_contained", "print_summary", "stress_methods", "write_tables"]
 
 VERDICT_NAMES = {
     Verdict.PASSED: "passed",
@@ -54,7 +51,6 @@ def stress_methods(
     device: torch.device,
     out: Path,
     is_restart: bool = False,
-    executor: Executor | None = None,
     weights: Callable[[Sequence[str]], Mapping[str, str]] = lambda names: {},
 ) -> bool:
     """Run sections on the selected methods, print the results and write them to `out`.
@@ -75,7 +71,7 @@ def stress_methods(
     if patterns and not sections:  # the question is about methods, not about the suite
         selected = [name for name in selected if not is_for_suite(name)]
     jobs = plan_jobs(methods, selected, is_quick, device, weights(methods))
-    executor = executor or default_executor(device, len(jobs))
+    executor = default_executor(device, len(jobs))
     console, finished_jobs = Console(), dict[StressJob, FinishedJob]()
     with locked_folder(out):
         for finished in run_jobs(jobs, out, executor, is_restart):

@@ -23,20 +23,6 @@ from rlbench.registry.near_names import unknown_name
 from rlbench.run import FrameResult, run_clip
 from rlbench.system import provenance
 
-__all__ = [
-    "CORE_SECTIONS",
-    "MethodSection",
-    "StressedMethod",
-    "SuiteSection",
-    "attempt",
-    "list_sections",
-    "load_section",
-    "load_stressed_method",
-    "report_exception",
-    "select_sections",
-    "unavailable_reason",
-]
-
 DEFAULT_SPP = 2.0  # samples per pixel of tests in which the budget does not matter
 RETURN_IMAGE = "return a finite image for this input, without an exception"
 FOLDER = "rlbench.checks.stress"
@@ -84,8 +70,6 @@ class StressedMethod:
 class MethodSection:
     """Tests that run once per method."""
 
-    name: str  # as in --only, e.g. "bad-pixel"
-    title: str  # the question that the section answers
     run: Callable[[StressedMethod, bool], Iterator[CheckResult]]  # the flag selects the quick form
 
 
@@ -93,8 +77,6 @@ class MethodSection:
 class SuiteSection:
     """Tests of the suite itself, which run once: metrics, gradient estimators."""
 
-    name: str
-    title: str
     run: Callable[[bool], Iterator[CheckResult]]  # the flag selects the quick form
 
 
@@ -168,10 +150,7 @@ def select_sections(names: Iterable[str] = ()) -> list[str]:
 
 
 def load_section(name: str) -> MethodSection | SuiteSection:
-    """Import a section.
-
-    Raises PluginError for an object that is no section, or that has another name.
-    """
+    """Import a section. Raises PluginError for an object that is no section."""
     target = list_sections()[name]
     section = registry.resolve(target)
     if not isinstance(section, MethodSection | SuiteSection):
@@ -179,6 +158,4 @@ def load_section(name: str) -> MethodSection | SuiteSection:
             f"{target} is an object of type {type(section).__name__}; a stress section is a "
             "MethodSection or a SuiteSection of rlbench.checks.stress.section"
         )
-    if section.name != name:
-        raise PluginError(f"{target} has the name '{section.name}', but is registered as '{name}'")
     return section

@@ -13,15 +13,6 @@ from rlbench.frames import GBuffer, Samples, Size
 from rlbench.method import Method, State
 from rlbench.wrappers import MethodWrapper
 
-__all__ = [
-    "PlannedDensity",
-    "RecordDensity",
-    "ReplayDensity",
-    "ResumeRun",
-    "ReversedSamples",
-    "reverse_samples",
-]
-
 
 @dataclass(frozen=True)
 class RecordDensity(MethodWrapper[Method]):

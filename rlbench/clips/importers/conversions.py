@@ -14,17 +14,6 @@ from rlbench.clips.importers.layout import Albedo, Depth, Motion, Normal
 from rlbench.clips.importers.sequence import Pixels, SourceError
 from rlbench.ops.color import decode_srgb
 
-__all__ = [
-    "OUTSIDE",
-    "convert_albedo",
-    "convert_depth",
-    "convert_motion",
-    "convert_normal",
-    "decode_curve",
-    "parse_axis",
-    "separate_samples",
-]
-
 OUTSIDE = -2.0  # image sizes, along both axes, that motion without a history points away
 MIN_NORMAL_LENGTH = 0.1  # shorter normals are background
 REVERSALS = 12  # steps of the search for the pixel that moved to a pixel

@@ -27,8 +27,6 @@ from rlbench.clips.importers.sequence import (
 )
 from rlbench.clips.importers.stand_ins import add_stand_ins
 
-__all__ = ["find_dump_sequences", "match_files", "sequence_name"]
-
 GBUFFER = ("albedo", "normal", "depth", "motion")
 Files = dict[FileKey, tuple[int, Path]]  # with the rank of the pattern that matched
 
@@ -114,7 +112,7 @@ def _sequence(
     numbers = select_frames(f"clip '{name}'", rendered, frames)
     found = _select(name, {number: numbered[number] for number in numbers}, layout)
     size = image_size(found.frames[numbers[0]], "radiance", layout)
-    available = {n: _choose(numbered[n], layout) for n in rendered} if _is_onward(layout) else {}
+    available = {n: _choose(numbered[n], layout) for n in rendered} if layout.moves_onward else {}
     sequence = ImportedSequence(
         name=name,
         sampler=f"{layout.renderer}, imported",
@@ -237,14 +235,9 @@ def _limitations(layout: Layout, found: _Selection, has_previous: bool) -> tuple
     has_space = normal and (normal.space == "world" or (normal.space == "view" and normal.camera))
     if normal and "normal" not in found.absent and not has_space:
         limitations.append("normal")
-    if _is_onward(layout) and "motion" not in found.absent and not has_previous:
+    if layout.moves_onward and "motion" not in found.absent and not has_previous:
         limitations.append("first motion")
     return tuple(limitations)
-
-
-def _is_onward(layout: Layout) -> bool:
-    """Whether motion points to the next frame, so that the frame before is read too."""
-    return layout.motion is not None and layout.motion.points.endswith("next")
 
 
 def _absence(layout: Layout, image: str) -> str:

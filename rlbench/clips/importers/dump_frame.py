@@ -33,17 +33,6 @@ from rlbench.clips.importers.image_files import (
 from rlbench.clips.importers.layout import Image, Layout
 from rlbench.clips.importers.sequence import ImportedFrame, Pixels, SourceError
 
-__all__ = [
-    "FLIPS",
-    "FrameFiles",
-    "count_samples",
-    "has_image",
-    "image_channels",
-    "image_size",
-    "read_frame",
-    "read_rotation",
-]
-
 RGB, XYZ = ("*.R", "*.G", "*.B"), ("*.X", "*.Y", "*.Z")
 CHANNELS = {  # usual names, the preferred ones first
     "albedo": (RGB,),
@@ -159,7 +148,7 @@ class _Reader:
         for stored in self.read_all(name, 1):
             is_broken = np.isnan if name == "depth" else lambda values: ~np.isfinite(values)
             mask = np.asarray(is_broken(stored).any(-1, keepdims=True))
-            if mask.any() and not (name == "motion" and _is_onward(self.layout)):
+            if mask.any() and not (name == "motion" and self.layout.moves_onward):
                 self.broken[name] = mask
             return stored
         return None
@@ -290,17 +279,12 @@ def _read_motion(
 ) -> Pixels:
     """Motion to the previous frame; zero in a first frame whose motion is in no file."""
     assert layout.motion is not None
-    if not _is_onward(layout):
+    if not layout.moves_onward:
         return convert_motion(stored, layout.motion)
     if number - 1 not in frames:
         return np.zeros((*size, 2), np.float32)
     (previous,) = _Reader(frames[number - 1], layout, size).read_all("motion", 1)
     return convert_motion(stored, layout.motion, previous)
-
-
-def _is_onward(layout: Layout) -> bool:
-    """Whether motion points to the next frame, so that of the frame before is read."""
-    return layout.motion is not None and layout.motion.points.endswith("next")
 
 
 def _modulate(light: Pixels, image: Image, gbuffer: Mapping[str, Pixels]) -> Pixels:

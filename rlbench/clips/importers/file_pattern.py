@@ -27,8 +27,6 @@ from typing import NamedTuple
 
 from rlbench.clips.importers.sequence import SourceError
 
-__all__ = ["FileKey", "SignReader", "match_pattern"]
-
 PLACEHOLDERS = {
     "frame": r"-?\d{1,18}",
     "sample": r"\d{1,18}",

@@ -21,8 +21,6 @@ from rlbench.clips.importers.sequence import ImportedSequence, SourceError
 from rlbench.clips.importers.sky import add_sky_motion
 from rlbench.clips.importers.stand_ins import add_stand_ins
 
-__all__ = ["FORMATS", "describe_left_out", "find_sequences"]
-
 FORMATS = {  # what no layout describes: zarr arrays in zips; 8-bit PNG with motion as torch tensors
     "noisebase": "rlbench.clips.importers.noisebase",
     "rl-path-tracing": "rlbench.clips.importers.rl_path_tracing",

@@ -16,19 +16,6 @@ from rlbench.clips.exr import DeepImageError, ExrHeader, read_exr_parts, read_pl
 from rlbench.clips.importers.limits import check_size
 from rlbench.clips.importers.sequence import Pixels, SourceError
 
-__all__ = [
-    "Channels",
-    "ExrImage",
-    "exr_size",
-    "find_channels",
-    "has_channels",
-    "list_channels",
-    "png_size",
-    "read_exr",
-    "read_exr_image",
-    "read_png",
-]
-
 COMPOSITE = "Composite."  # Blender's layer of the compositor, which is read only where it is named
 
 
@@ -208,17 +195,17 @@ def _full(header: ExrHeader) -> list[str]:
     return [name for name, channel in header.channels.items() if channel.is_full]
 
 
-def read_png(path: Path) -> NDArray[np.uint8]:
-    """An RGB PNG, [h w 3]; of 16-bit values the upper 8 bits. Raises SourceError.
+def read_png(path: Path, modes: Sequence[str] = ("RGB",)) -> NDArray[np.uint8]:
+    """A PNG of one of Pillow's `modes` as RGB [h w 3], without alpha. Raises SourceError.
 
-    Pillow has no 16-bit RGB mode: these are the values that a reader with Pillow or torchvision
-    gets.
+    Pillow has no 16-bit RGB mode, and reads the upper 8 bits, as do others through it.
     """
     with _convert_errors(path), Image.open(path, formats=("PNG",)) as image:
         check_size(path, image.height, image.width)
-        if image.mode != "RGB":
-            raise SourceError(f"{path} is a PNG of mode {image.mode}, expected RGB")
-        return np.array(image)
+        if image.mode not in modes:
+            expected = ", ".join(modes)
+            raise SourceError(f"{path} is a PNG of mode {image.mode}, expected {expected}")
+        return np.array(image.convert("RGB"))
 
 
 def png_size(path: Path) -> tuple[int, int]:

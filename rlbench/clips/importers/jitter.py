@@ -17,8 +17,6 @@ import numpy as np
 from rlbench.clips.importers.layout import Camera, Layout
 from rlbench.clips.importers.sequence import ImportedFrame, ImportedSequence, SourceError
 
-__all__ = ["halton_offset", "read_offsets", "remove_jitter"]
-
 MAX_OFFSET = 2.0  # pixels
 MAX_FILE_BYTES = 2**24
 LIMITATION = "reference jitter"

@@ -14,8 +14,6 @@ from rlbench.clips.importers.sequence import SourceError
 from rlbench.registry.near_names import suggest, unknown_name
 from rlbench.system.documents import decode, read_toml
 
-__all__ = ["Image", "Layout", "decode_layout", "read_layout", "ready_layouts"]
-
 Words = str | tuple[str, ...]
 Curve = Literal["linear", "srgb"]
 Alpha = Literal["premultiplied", "straight"]
@@ -189,6 +187,11 @@ class Layout:
         """The images that the layout names, by table."""
         values = {field.name: getattr(self, field.name) for field in dataclasses.fields(self)}
         return {name: value for name, value in values.items() if isinstance(value, Image)}
+
+    @property
+    def moves_onward(self) -> bool:
+        """Does motion point to the next frame, so that the frame before is read too?"""
+        return self.motion is not None and self.motion.points.endswith("next")
 
     @property
     def other_files(self) -> tuple[str, ...]:

@@ -13,8 +13,6 @@ from rlbench.clips.importers.file_pattern import FileKey, SignReader
 from rlbench.clips.importers.layout import Image, Layout, Radiance
 from rlbench.clips.importers.sequence import ImportedSequence
 
-__all__ = ["describe_left_out", "find_left_out"]
-
 
 def find_left_out(
     source: Path,

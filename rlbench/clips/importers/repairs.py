@@ -15,8 +15,6 @@ from rlbench.clips.frame_files import is_no_reference, nonfinite_mask
 from rlbench.clips.importers.sequence import ImportedFrame, Pixels, SourceError
 from rlbench.ops.sanitize import RULES, sanitize_radiance
 
-__all__ = ["Findings", "check_finite", "repair_frame"]
-
 ADDED = ("specular", "emission", "albedo")  # what radiance is made of, too
 
 

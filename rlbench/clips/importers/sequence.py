@@ -14,16 +14,6 @@ from numpy.typing import NDArray
 from rlbench.clips.header import LIMITS, is_plain_name
 from rlbench.errors import RlbenchError
 
-__all__ = [
-    "ImportedFrame",
-    "ImportedSequence",
-    "Pixels",
-    "SourceError",
-    "clip_name",
-    "select_frames",
-    "parse_frame_range",
-]
-
 Pixels = NDArray[np.floating]
 MAX_FRAMES = int(LIMITS["frames"].highest)
 

@@ -21,8 +21,6 @@ from rlbench.clips.importers.dump_frame import read_rotation
 from rlbench.clips.importers.layout import Layout, Motion
 from rlbench.clips.importers.sequence import ImportedFrame, ImportedSequence
 
-__all__ = ["add_sky_motion", "judge_sky", "motion_at_infinity"]
-
 LIMITATION = "sky motion"
 MAX_FRAMES = 16  # of a clip that are judged
 MIN_SHARE = 1e-3  # of an image that counts as a sky

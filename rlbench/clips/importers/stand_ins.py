@@ -11,8 +11,6 @@ from numpy import ndarray as Array
 from rlbench.clips.importers.sequence import ImportedFrame, ImportedSequence, SourceError
 from rlbench.frames import BUFFERS
 
-__all__ = ["STAND_INS", "add_stand_ins", "estimate_motion"]
-
 STAND_INS = {  # without information, but legal
     "albedo": (0.5, 0.5, 0.5),
     "normal": (0.0, -1.0, 0.0),

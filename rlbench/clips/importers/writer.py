@@ -24,8 +24,6 @@ from rlbench.clips.importers.repairs import Findings, check_finite, repair_frame
 from rlbench.clips.importers.sequence import ImportedFrame, ImportedSequence, Pixels, SourceError
 from rlbench.system import paths
 
-__all__ = ["change_exposure", "clip_header", "estimate_exposure", "is_finished", "write_clip"]
-
 MAX_EXPOSURE_FRAMES = 8  # whose references decide the exposure
 SOURCE_FILE = "source.txt"  # in the clip folder: what its frames were imported from
 

@@ -14,8 +14,6 @@ from rlbench.clips.header import Header, write_header
 from rlbench.clips.procedural.clip import procedural_clip
 from rlbench.frames import Size, StoredPool
 
-__all__ = ["write_procedural_clip"]
-
 
 def write_procedural_clip(
     folder: Path, seed: int = 0, side: int = 128, frames: int = 6, **header: Any

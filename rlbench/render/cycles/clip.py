@@ -16,7 +16,7 @@ from tempfile import TemporaryDirectory
 import numpy as np
 
 from rlbench.clips.exposure import area_luminance, exposure_from_areas
-from rlbench.clips.stored import write_header
+from rlbench.clips.header import write_header
 from rlbench.render.cycles.frames import CyclesJob, fastest_sample_s, read_radiance, render_frames
 from rlbench.render.cycles.process import CyclesParameters, ImageTask, image_seed
 from rlbench.render.cycles.scene_file import open_blender_file
@@ -25,8 +25,6 @@ from rlbench.render.scene import SceneError
 from rlbench.render.user.clip import UserSceneOptions, describe_job, plan_clip
 from rlbench.system import paths
 from rlbench.system.progress import LoggedProgress
-
-__all__ = ["ensure_cycles"]
 
 PREVIEW_SIZE = (32, 32)  # pixels of the images for the exposure: 8 x 8 areas of 4 x 4
 PREVIEW_SPP = 16

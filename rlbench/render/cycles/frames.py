@@ -18,7 +18,7 @@ from jaxtyping import Float
 from numpy import ndarray as Array
 
 from rlbench.clips.exr import read_exr
-from rlbench.clips.stored import write_frame
+from rlbench.clips.frame_files import write_frame
 from rlbench.render.cycles.process import (
     CyclesParameters,
     ImageTask,
@@ -31,18 +31,6 @@ from rlbench.render.jobs import references
 from rlbench.render.jobs.job import Job
 from rlbench.render.scene import Pose, Scene
 from rlbench.system import paths
-
-__all__ = [
-    "CyclesJob",
-    "GEOMETRY",
-    "convert_passes",
-    "fastest_sample_s",
-    "read_gbuffer",
-    "read_radiance",
-    "reference_images",
-    "render_frames",
-    "sky_motion",
-]
 
 SAMPLES_PER_IMAGE = 32  # of a reference: an interruption loses at most so many
 WORK_FOLDER = ".cycles"  # beside the frames, until all are complete

@@ -36,20 +36,6 @@ from rlbench.render.user.clip import UserSceneOptions
 from rlbench.system import paths
 from rlbench.system.folder_lock import locked_folder
 
-__all__ = [
-    "FOV",
-    "InfinigenError",
-    "KINDS",
-    "Room",
-    "ensure_environment",
-    "generate_room",
-    "generation_command",
-    "parse_rooms",
-    "place_cameras",
-    "render_room",
-    "walk",
-]
-
 INFINIGEN = "infinigen==1.15.5"  # of PyPI: wheels for Python 3.11
 REQUIREMENTS = (  # Infinigen's own, but for scikit-image, whose releases below 0.20 have no wheels
     *("bpy==4.2.0", "coacd", "gin_config>=0.5.0", "imageio<2.32.0", "matplotlib", "networkx"),

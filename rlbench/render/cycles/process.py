@@ -20,23 +20,6 @@ from rlbench.errors import RlbenchError
 from rlbench.render.scene import Scene, SceneError
 from rlbench.render.user import camera_path
 
-__all__ = [
-    "CyclesError",
-    "CyclesParameters",
-    "INSTALL_HINT",
-    "ImageTask",
-    "PYTHON_VARIABLE",
-    "TESTED_BPY_VERSION",
-    "bpy_version",
-    "convert_axes",
-    "image_seed",
-    "inspect_job",
-    "interpreter",
-    "log_tail",
-    "render_job",
-    "wander_job",
-]
-
 WORKER_VERSION = 1  # raised whenever the worker renders different pixels for the same file
 STREAMS = {"path": 0, "referenceA": 1, "referenceB": 2, "pilot": 3}
 SEEDS_PER_STREAM = 1024  # in each frame

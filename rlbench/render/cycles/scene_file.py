@@ -29,8 +29,6 @@ from rlbench.render.user.clip import UserSceneOptions
 from rlbench.render.user.scene_file import UserScene
 from rlbench.system import paths
 
-__all__ = ["FORMATS", "BlenderScene", "gltf_parts", "hash_files", "open_blender_file"]
-
 FORMATS = (".blend", ".usd", ".usda", ".usdc", ".usdz", ".glb", ".gltf", ".fbx", ".obj")
 MAX_LENS_SHIFT = 1e-4  # fraction of the image width
 

@@ -8,7 +8,6 @@ Traced frames are cached, so an interrupted sheet resumes with the next scene.
 from __future__ import annotations
 
 import argparse
-import gc
 import math
 from collections.abc import Callable, Sequence
 from pathlib import Path
@@ -27,8 +26,6 @@ from rlbench.render.presets import TEST_SCENES
 from rlbench.render.scene import Scene
 from rlbench.system import paths
 from rlbench.system.progress import LoggedProgress
-
-__all__ = ["cut_tile", "tile_images", "tone_map", "write_sheet"]
 
 TIME = 4.0  # the frame shown
 STREAM = "referenceA"
@@ -113,8 +110,6 @@ def _cached_frame(
     image = tracer.trace_mean(spp, STREAM, on_samples=lambda count: on_samples(scene.name, count))
     with paths.atomic_write(file) as temporary, temporary.open("wb") as stream:
         np.save(stream, image)
-    del tracer
-    gc.collect()  # while the old scene is alive, Dr.Jit compiles kernels for the next one again
     return image
 
 

@@ -9,7 +9,6 @@ files are written.
 
 from __future__ import annotations
 
-import gc
 import math
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field, replace
@@ -23,8 +22,7 @@ from rich.progress import Progress
 
 from rlbench import registry
 from rlbench.clips.frame_files import exr_path, write_pool
-from rlbench.clips.header import FILE
-from rlbench.clips.stored import Header, read_header, write_header
+from rlbench.clips.header import FILE, Header, read_header, write_header
 from rlbench.pools import PoolKind, SampleStreams
 from rlbench.render.jobs.job import FRAME_POOLS, SEED, Job
 from rlbench.render.mitsuba import load
@@ -35,17 +33,6 @@ from rlbench.render.mitsuba.variant import select_variant
 from rlbench.render.scene import Scene
 from rlbench.system import paths
 from rlbench.system.provenance import machine
-
-__all__ = [
-    "MissingPool",
-    "PoolStage",
-    "add_pool",
-    "add_pools",
-    "find_missing_pools",
-    "open_streams",
-    "pool_sample_ms",
-    "relative_cost",
-]
 
 TIMED_SPP = 4  # samples per pixel and frame in a time measurement
 
@@ -123,14 +110,12 @@ def add_pools(missing: Sequence[MissingPool], bar: Progress) -> None:
     for pool in missing:
         bar.update(task, description=pool.job.name)
         add_pool(pool, lambda: bar.advance(task))
-        gc.collect()
 
 
 def add_pool(missing: MissingPool, on_frame: Callable[[], None] = lambda: None) -> None:
     """Trace the missing frames of a pool, then list it in clip.toml; `on_frame` runs after each."""
     missing.claim_files()
     preset, scene, kind = missing.job.preset, missing.job.scene, missing.kind
-    gc.collect()  # while the old scene is alive, Dr.Jit compiles kernels for the next one again
     tracer = WavefrontTracer(scene, *preset.size, SEED, preset.radiance_cap / scene.exposure)
     if frames := missing.missing_frames:
         trace_frame = open_streams(tracer, kind, preset.pool_spp)

@@ -5,7 +5,6 @@ The process that started the job writes the frames to disk, wherever they are tr
 
 from __future__ import annotations
 
-import gc
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -17,35 +16,21 @@ import numpy as np
 from jaxtyping import Float
 from numpy import ndarray as Array
 
-from rlbench.clips.header import FILE, Header, names_in_digests
-from rlbench.clips.stored import ClipError, has_frame, write_frame
+from rlbench.clips.frame_files import has_frame, write_frame
+from rlbench.clips.header import FILE, ClipError, Header, names_in_digests
 from rlbench.frames import BUFFERS
 from rlbench.parallel.executor import ProgressCallback, Resources
 from rlbench.render.fingerprint import fingerprint
 from rlbench.render.jobs import references
 from rlbench.render.jobs.references import SPP_FILES, read_spp, stored_noise_ceiling_db
 from rlbench.render.mitsuba.gbuffer import render_gbuffer
-from rlbench.render.mitsuba.open_tracer import Tracer, describe_tracer, open_tracer
+from rlbench.render.mitsuba.open_tracer import describe_tracer, open_tracer
+from rlbench.render.mitsuba.tracer import Tracer
 from rlbench.render.mitsuba.variant import select_variant
 from rlbench.render.presets import Preset
 from rlbench.render.scene import Scene
 from rlbench.system import paths
 from rlbench.system.provenance import machine
-
-__all__ = [
-    "TraceTimes",
-    "measure_trace_times",
-    "CONTENT_KEY_FILE",
-    "FRAME_POOLS",
-    "FrameBuffers",
-    "FrameRenderer",
-    "FrameTask",
-    "Job",
-    "SEED",
-    "frame_resources",
-    "read_content_key",
-    "save_frame",
-]
 
 FRAME_POOLS = ("path",)  # pools that are traced with each frame; others are added to finished clips
 CONTENT_KEY_FILE = "scene.txt"  # beside the frames
@@ -230,7 +215,6 @@ class FrameRenderer:
         """The tracer of a clip's scene; the scene opened before is closed."""
         if self._open is None or self._open[0] != clip_index:
             self._open = None
-            gc.collect()  # while the old scene is alive, Dr.Jit compiles kernels for the next again
             job = self.jobs[clip_index]
             cap = job.preset.radiance_cap / job.scene.exposure
             self._open = clip_index, open_tracer(job.scene, *job.preset.size, SEED, cap)

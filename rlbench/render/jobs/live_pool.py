@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import gc
 from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import lru_cache
@@ -16,8 +15,9 @@ from torch import Tensor
 
 from rlbench.clips.exr import channel_dtype
 from rlbench.clips.frame_files import exr_path
+from rlbench.clips.header import ClipError, read_header
 from rlbench.clips.in_memory import ClipWrapper
-from rlbench.clips.stored import ClipError, StoredClip, read_header, sample_order
+from rlbench.clips.stored import StoredClip, sample_order
 from rlbench.frames import Frame, Samples, Size
 from rlbench.render.fingerprint import fingerprint
 from rlbench.render.jobs.job import FRAME_POOLS, read_content_key
@@ -26,16 +26,6 @@ from rlbench.render.mitsuba.open_tracer import open_tracer
 from rlbench.render.mitsuba.tracer import MAX_PATHS, Tracer
 from rlbench.render.mitsuba.variant import select_variant
 from rlbench.render.scene import Scene
-
-__all__ = [
-    "LiveClip",
-    "LivePool",
-    "missing_samples",
-    "open_live_clip",
-    "open_wavefronts",
-    "scatter_factor",
-    "scene_of_folder",
-]
 
 
 @dataclass(frozen=True)
@@ -185,7 +175,6 @@ def open_wavefronts(folder: Path) -> Tracer:
 
 def open_clip_tracer(folder: Path) -> Tracer:
     """The tracer of a clip's scene, at its size and with its radiance cap."""
-    gc.collect()  # while the old scene is alive, Dr.Jit compiles kernels for the next one again
     header = read_header(folder)
     cap = header.radiance_cap / header.exposure
     size = header.height, header.width

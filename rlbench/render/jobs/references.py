@@ -18,17 +18,6 @@ from rlbench.render.mitsuba.tracer import Tracer
 from rlbench.render.presets import Preset
 from rlbench.system import paths
 
-__all__ = [
-    "HALVES",
-    "MAX_DB",
-    "SPP_FILES",
-    "noise_ceiling_db",
-    "read_spp",
-    "stored_noise_ceiling_db",
-    "trace_reference",
-    "write_spp",
-]
-
 HALVES = ("A", "B")
 SPP_FILES = "rounds.*.txt"  # beside the frames, if the number of rounds varies
 MAX_DB = 100.0  # PSNR of equal images, by convention

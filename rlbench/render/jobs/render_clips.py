@@ -6,23 +6,20 @@ written last, because they hold the time of a sample, which must be measured on 
 
 from __future__ import annotations
 
-import gc
 import importlib.metadata
 import inspect
 import logging
 import math
-from collections.abc import Collection, Iterable, Iterator, Mapping
-from contextlib import contextmanager
+from collections.abc import Collection, Iterable, Mapping
 from dataclasses import replace
 from functools import partial
-from hashlib import sha256
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn, TimeRemainingColumn
 
 from rlbench import registry
-from rlbench.clips.stored import ClipError, Header, read_header, write_header
+from rlbench.clips.header import ClipError, Header, read_header, write_header
 from rlbench.errors import OptionError
 from rlbench.parallel.executor import LOCAL, Executor, ProgressCallback
 from rlbench.registry.near_names import unknown_name
@@ -37,7 +34,8 @@ from rlbench.render.jobs.job import (
     measure_trace_times,
     save_frame,
 )
-from rlbench.render.mitsuba.open_tracer import Tracer, open_tracer
+from rlbench.render.mitsuba.open_tracer import open_tracer
+from rlbench.render.mitsuba.tracer import Tracer
 from rlbench.render.mitsuba.variant import select_variant
 from rlbench.render.presets import Preset
 from rlbench.render.scene import Scene, SceneError
@@ -47,19 +45,6 @@ from rlbench.system.provenance import machine
 
 if TYPE_CHECKING:
     from rlbench.parallel.executor import Executor
-
-__all__ = [
-    "ensure",
-    "new_or_given_bar",
-    "preset_hash",
-    "remeasure_sample_ms",
-    "preset_jobs",
-    "render_clip",
-    "render_missing",
-    "render_preset_clips",
-    "scene_of_clip",
-    "selected_names",
-]
 
 _logger = logging.getLogger(__name__)
 
@@ -72,20 +57,10 @@ def ensure(
     preset: Preset | str,
     scenes: Iterable[str] | None = None,
     seeds: Iterable[int] | None = None,
-    folder: Path | None = None,
-    bar: Progress | None = None,
     executor: Executor = LOCAL,
 ) -> list[Path]:
-    """The clip folders of a preset, after rendering the missing frames.
-
-    `scenes`, and `seeds` of generated scenes, replace those of the preset; if only one of the two
-    is given, the other is empty. A scene name selects the takes that the preset has of it,
-    `<scene>-<take>` selects one take. Complete frames are kept unless the scene has changed since.
-    `folder` holds the clips in place of the cache, `bar` replaces the progress bar on standard
-    error, and `executor` traces the frames. Raises LookupError for an unknown preset or scene, and
-    SceneError for an unknown take.
-    """
-    return render_missing(preset_jobs(preset, scenes, seeds, folder), bar, executor)
+    """The clip folders of `preset_jobs`, after rendering the missing frames."""
+    return render_missing(preset_jobs(preset, scenes, seeds), executor)
 
 
 def preset_jobs(
@@ -94,7 +69,13 @@ def preset_jobs(
     seeds: Iterable[int] | None = None,
     folder: Path | None = None,
 ) -> list[Job]:
-    """The render jobs of a preset's clips, selected as by `ensure`; nothing is rendered."""
+    """The render jobs of a preset's clips; nothing is rendered.
+
+    `scenes`, and `seeds` of generated scenes, replace those of the preset; if only one of the two
+    is given, the other is empty. A scene name selects the takes that the preset has of it,
+    `<scene>-<take>` selects one take. `folder` holds the clips in place of the cache. Raises
+    LookupError for an unknown preset or scene, and SceneError for an unknown take.
+    """
     preset = presets.get_preset(preset) if isinstance(preset, str) else preset
     folder = folder or paths.clips_folder() / preset.name
     scene_of: dict[str, Scene] = {}
@@ -118,16 +99,16 @@ def _check_complete(scenes: Mapping[str, Scene], preset: Preset) -> None:
 def selected_names(
     preset: Preset, scenes: Iterable[str] | None = None, seeds: Iterable[int] | None = None
 ) -> list[str]:
-    """The names of the scenes and of the generated clips that `ensure` selects."""
+    """The names of the scenes and of the generated clips that `preset_jobs` selects."""
     if scenes is None and seeds is None:
         scenes, seeds = preset.scenes, preset.seeds
     return [*(scenes or ()), *(f"{preset.generator}-{seed:03d}" for seed in seeds or ())]
 
 
-def render_missing(
-    jobs: list[Job], bar: Progress | None = None, executor: Executor = LOCAL
-) -> list[Path]:
+def render_missing(jobs: list[Job], executor: Executor = LOCAL) -> list[Path]:
     """The folders of clips of one preset, after rendering the missing frames.
+
+    Complete frames are kept unless the scene has changed since.
 
     Pools other than the path tracer's are added last, always on this machine: their samples depend
     on earlier frames.
@@ -137,11 +118,11 @@ def render_missing(
         status = f"{len(job.missing_frames)} frames missing" if job in unfinished else "finished"
         _logger.info("clip %s: %s, in %s", job.name, status, job.folder)
     if unfinished:
-        with new_or_given_bar(bar, executor) as active_bar:
-            _render_all(unfinished, active_bar, executor)
+        with progress_bar(executor) as bar:
+            _render_all(unfinished, bar, executor)
     if missing := extra_pools.find_missing_pools(jobs):
-        with new_or_given_bar(bar, LOCAL) as active_bar:
-            extra_pools.add_pools(missing, active_bar)
+        with progress_bar(LOCAL) as bar:
+            extra_pools.add_pools(missing, bar)
     return [job.folder for job in jobs]
 
 
@@ -222,7 +203,6 @@ def _render_all(jobs: list[Job], bar: Progress, executor: Executor) -> None:
     for batch in [[job] for job in jobs] if executor.exclusive else [jobs]:
         bar.update(task, description=batch[0].name if len(batch) == 1 else f"{len(batch)} clips")
         errors += _render_frames(batch, partial(bar.advance, task), executor)
-        gc.collect()
     _raise_first(errors)
 
 
@@ -230,7 +210,6 @@ def _estimate(jobs: list[Job], executor: Executor) -> str:
     """The work ahead in words, with the time it takes on this machine, after a short trial."""
     preset, paths_to_trace = jobs[0].preset, _count_paths(jobs)
     trial_ms = open_tracer(jobs[0].scene, *preset.size).measure_sample_ms(repeats=1, spp=TRIAL_SPP)
-    gc.collect()  # while the old scene is alive, Dr.Jit compiles kernels for the next one again
     seconds = paths_to_trace / (preset.size[0] * preset.size[1]) * trial_ms / 1e3
     at_most = "at most " if preset.max_reference_rounds > 1 else ""
     alone = f" on this machine alone; {executor.description}" if executor.description else ""
@@ -259,16 +238,11 @@ def _make_header(job: Job, tracer: Tracer) -> Header:
     return times.written_to(job.make_header("mitsuba path", version, times.sample_ms, seed=SEED))
 
 
-@contextmanager
-def new_or_given_bar(bar: Progress | None, executor: Executor) -> Iterator[Progress]:
-    """The given progress bar, or a new one on standard error."""
-    if bar:
-        yield bar
-        return
+def progress_bar(executor: Executor) -> LoggedProgress:
+    """A progress bar on standard error."""
     columns = (TextColumn("{task.description:>16}"), BarColumn(), TaskProgressColumn())
     window = SPEED_WINDOW_S if executor.exclusive else PARALLEL_SPEED_WINDOW_S
-    with LoggedProgress(*columns, TimeRemainingColumn(), speed_estimate_period=window) as new_bar:
-        yield new_bar
+    return LoggedProgress(*columns, TimeRemainingColumn(), speed_estimate_period=window)
 
 
 def render_preset_clips(
@@ -301,17 +275,7 @@ def render_preset_clips(
         selected = selected.with_pools(pool_kinds)
     if takes is not None:
         selected = selected.with_takes(takes)
-    return ensure(selected, scenes or None, seeds, executor=executor or LOCAL)
-
-
-def preset_hash(preset: str) -> str:
-    """16 hex digits of the names and content keys of a preset's clips, and of its sample pools.
-
-    Nothing is rendered. Raises LookupError for an unknown preset.
-    """
-    jobs = preset_jobs(preset)
-    content = [f"{job.name} {' '.join(job.preset.pools)} {job.content_key}" for job in jobs]
-    return sha256("".join(content).encode()).hexdigest()[:16]
+    return ensure(selected, scenes or None, seeds, executor or LOCAL)
 
 
 def remeasure_sample_ms(folder: Path) -> Header:
@@ -332,8 +296,6 @@ def remeasure_sample_ms(folder: Path) -> Header:
     size = header.height, header.width
     tracer = open_tracer(scene_of_clip(header.name).inspect(header.frames, size), *size)
     times = measure_trace_times(tracer)
-    del tracer
-    gc.collect()  # while the old scene is alive, Dr.Jit compiles kernels for the next one again
     ratio = times.sample_ms / header.sample_ms if header.sample_ms > 0 else math.nan
     others = (ms * ratio for ms in header.pools_ms[1:])  # the path tracer's pool comes first
     pools_ms = (times.sample_ms, *others) if header.pools_ms else ()

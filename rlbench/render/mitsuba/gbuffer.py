@@ -21,8 +21,6 @@ from rlbench.frames import BUFFERS
 from rlbench.render.mitsuba.tracer import Tracer
 from rlbench.render.scene import Pose
 
-__all__ = ["CUT_MOTION", "chain_albedo", "follow_specular_chain", "reflectance", "render_gbuffer"]
-
 CUT_MOTION = -2.0  # motion at a cut, in image sizes along both axes: leads every pixel outside
 HIT = {"hit": 1, "mesh": 1, "face": 1, "u": 1, "v": 1, "normal": 3}  # channels of the first hit
 BEHIND = {"hit_psr": 1, "mesh_psr": 1, "normal_psr": 3, "length_psr": 1}

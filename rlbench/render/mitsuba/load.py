@@ -16,18 +16,6 @@ from rlbench.errors import RlbenchError
 from rlbench.render.mitsuba import xml_scene
 from rlbench.render.scene import Camera, Mesh, MitsubaDict, Pose, Scene
 
-__all__ = [
-    "EmitterScaler",
-    "LightError",
-    "instantiate",
-    "load_scene",
-    "make_sensor",
-    "move_vertices",
-    "pinhole_vectors",
-    "smooth_normals",
-    "upload",
-]
-
 ALIGNMENT = 64  # bytes; Dr.Jit compiles another kernel for unaligned input
 STRENGTH_PARAMETERS = (
     "radiance.value",

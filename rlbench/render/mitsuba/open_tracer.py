@@ -16,15 +16,6 @@ from rlbench.render.mitsuba.tracer import Tracer, make_sampler, stream_key
 from rlbench.render.mitsuba.variant import select_variant
 from rlbench.render.scene import Scene
 
-__all__ = [
-    "ScalarTracer",
-    "Tracer",
-    "WavefrontTracer",
-    "describe_tracer",
-    "open_tracer",
-    "sample_ms",
-]
-
 
 class WavefrontTracer(Tracer):
     """Traces wavefronts; a sample depends on (pixel, sample, time, stream, seed) only.

@@ -1,10 +1,11 @@
-"""The base of all tracers: an animated scene, independent 1-spp images, their mean and variance.
+"""The base of all tracers: an animated scene, independent 1-spp images, and their mean.
 
 Random numbers depend on pixel, sample, frame, stream and seed only.
 """
 
 from __future__ import annotations
 
+import gc
 import hashlib
 import math
 import statistics
@@ -22,8 +23,6 @@ from numpy import ndarray as Array
 from rlbench.render.mitsuba import load
 from rlbench.render.mitsuba.load import EmitterScaler
 from rlbench.render.scene import Pose, Scene
-
-__all__ = ["MAX_PATHS", "STREAMS", "Tracer", "make_sampler", "stream_key"]
 
 MAX_PATHS = 2**20  # per launch; a path needs about 100 bytes
 STREAMS = ("input", "pilot", "referenceA", "referenceB", "restir")
@@ -49,6 +48,7 @@ class Tracer(ABC):
         self.radiance_cap = radiance_cap
         import mitsuba as mi
 
+        gc.collect()  # while an old scene is alive, Dr.Jit compiles kernels for the next one again
         self.mi_scene = load.load_scene(scene)
         self.integrator = load.instantiate({"type": "path", "max_depth": scene.max_depth})
         self._parameters = mi.traverse(self.mi_scene)
@@ -90,17 +90,11 @@ class Tracer(ABC):
     def _launch(self, first: int, count: int, stream: str) -> Float[Array, "count h w 3"]:
         """1-spp images of samples `first` to `first + count - 1`."""
 
-    def trace_images(
-        self, n: int, stream: str = "input", first: int = 0
-    ) -> Float[Array, "n h w 3"]:
-        """Independent 1-spp images: samples `first` to `first + n - 1` of every pixel."""
+    def trace_images(self, n: int, stream: str = "input") -> Float[Array, "n h w 3"]:
+        """Independent 1-spp images: samples 0 to n - 1 of every pixel."""
         chunk = self._images_per_launch()
-        return np.concatenate(
-            [
-                self._launch(start, min(chunk, first + n - start), stream)
-                for start in range(first, first + n, chunk)
-            ]
-        )
+        starts = range(0, n, chunk)
+        return np.concatenate([self._launch(s, min(chunk, n - s), stream) for s in starts])
 
     def trace_mean(
         self,
@@ -131,25 +125,6 @@ class Tracer(ABC):
             total += self._launch_sum(start, count, stream)
             on_samples(count)
         return total
-
-    def trace_moments(
-        self, spp: int, stream: str, first: int = 0, chunk: int | None = None
-    ) -> tuple[Float[Array, "h w 3"], Float[Array, "h w 3"]]:
-        """Mean and variance of samples `first` to `first + spp - 1` of every pixel, in float32.
-
-        The variance is the unbiased variance of one sample; divided by `spp` it is that of the
-        mean. For a single sample it is NaN.
-        """
-        chunk = chunk or self._images_per_launch()
-        total = np.zeros((2, self.height, self.width, 3))  # sums of samples and of their squares
-        for start in range(first, first + spp, chunk):
-            images = self._launch(start, min(chunk, first + spp - start), stream)
-            total[0] += images.sum(0, dtype=np.float64)
-            total[1] += np.square(images, dtype=np.float64).sum(0)
-        mean = total[0] / spp
-        biased = np.maximum(total[1] / spp - mean**2, 0)  # rounding may make it negative
-        variance = biased * (spp / (spp - 1) if spp > 1 else math.nan)
-        return mean.astype(np.float32), variance.astype(np.float32)
 
     def measure_sample_ms(self, repeats: int = 5, spp: int = 1) -> float:
         """Median milliseconds of one frame at one sample per pixel, after a warm-up.

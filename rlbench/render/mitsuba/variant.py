@@ -22,20 +22,6 @@ from pathlib import Path
 
 from rlbench.system import paths
 
-__all__ = [
-    "INSTALL_HINT",
-    "WHEEL",
-    "LlvmLibrary",
-    "cuda_fault",
-    "describe_variant",
-    "fastest_variant",
-    "find_cuda_driver",
-    "find_libraries",
-    "kernel_cache",
-    "select_variant",
-    "wheel_files",
-]
-
 MIN_VERSION = 16  # Dr.Jit refuses 14; 15 aborts the process
 PATTERNS = (
     "/usr/lib/*/libLLVM*.so*",

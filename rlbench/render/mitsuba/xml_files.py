@@ -12,17 +12,6 @@ from typing import Any
 
 from rlbench.render.scene import SceneError
 
-__all__ = [
-    "MissingFiles",
-    "describe_missing_files",
-    "find_files",
-    "refuse_attribute_emitters",
-    "refuse_media",
-    "refuse_missing_files",
-    "refuse_other_sensors",
-    "replace_missing_files",
-]
-
 GREY = 0.5  # reflectance of a texture or BSDF whose file is missing
 SURFACE_MAPS = ("bumpmap", "normalmap")
 SHOWN = 3  # names of files in a note

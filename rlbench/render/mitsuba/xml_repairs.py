@@ -18,8 +18,6 @@ from numpy import ndarray as Array
 
 from rlbench.render.mitsuba.xml_files import add_node, line, peek
 
-__all__ = ["Notes", "describe_repairs", "is_night", "repair_nodes", "repair_text"]
-
 COLOR = re.compile(r"<(s?rgb)\b([^<>]*?)\bvalue\s*=\s*([\"'])\s*([^\"']*?)\s*\3")
 OUTSIDE = {"vacuum": 1.0, "air": 1.0, "water": 1.333}  # index of refraction, by Mitsuba 0.6's names
 Y_UP = [[1, 0, 0, 0], [0, 0, 1, 0], [0, -1, 0, 0], [0, 0, 0, 1]]  # turns z up into it

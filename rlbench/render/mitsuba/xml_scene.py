@@ -14,8 +14,6 @@ from rlbench.render.mitsuba import xml_files, xml_repairs
 from rlbench.render.mitsuba.xml_files import children, file_resolver
 from rlbench.render.scene import Mesh, SceneError, XmlFile
 
-__all__ = ["XmlSettings", "build_scene", "named_meshes", "read_settings"]
-
 MAX_DEPTH = 8  # longest light path, in edges, if the file has no integrator
 PATH_INTEGRATORS = ("path", "direct")  # integrators that trace the same light paths as rlbench
 FILM = {"width": 768, "height": 576}  # pixels, Mitsuba's default

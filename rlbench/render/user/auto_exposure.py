@@ -15,14 +15,6 @@ from rlbench.render.mitsuba.gbuffer import render_gbuffer
 from rlbench.render.mitsuba.tracer import Tracer
 from rlbench.render.scene import SceneError
 
-__all__ = [
-    "estimate_exposure",
-    "hit_distances",
-    "measure_distance",
-    "mitsuba_errors",
-    "trace_areas",
-]
-
 GRID = 32  # rays along each side of the image
 SPP = (4, 64)  # samples per ray; the second number if the first gave a black image
 

@@ -18,17 +18,6 @@ from numpy import ndarray as Array
 
 from rlbench.render.scene import Camera, SceneError
 
-__all__ = [
-    "MatrixPath",
-    "camera_from_matrix",
-    "check_rigid",
-    "dolly",
-    "follow_matrices",
-    "matrix_from_camera",
-    "orbit",
-    "read_matrices",
-]
-
 ORBIT_STEP = np.radians(0.5)  # radians per frame
 DOLLY_STEP = 0.02  # fraction of the remaining distance per frame
 RIGID_TOLERANCE = 1e-3  # deviation of the axes' dot products from those of a rotation

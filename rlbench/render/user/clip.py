@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import gc
 import hashlib
 import math
 import re
@@ -17,7 +16,8 @@ from numpy import ndarray as Array
 from rlbench.parallel.executor import LOCAL, Executor
 from rlbench.render.jobs.job import FRAME_POOLS, Job
 from rlbench.render.jobs.render_clips import render_missing
-from rlbench.render.mitsuba.open_tracer import Tracer, open_tracer
+from rlbench.render.mitsuba.open_tracer import open_tracer
+from rlbench.render.mitsuba.tracer import Tracer
 from rlbench.render.mitsuba.variant import select_variant
 from rlbench.render.presets import Preset
 from rlbench.render.scene import Camera, Scene, SceneError
@@ -25,8 +25,6 @@ from rlbench.render.user import auto_exposure, camera_path
 from rlbench.render.user.scene_file import UserScene, open_scene_file
 from rlbench.render.user.wander import WANDER_VERSION, wander
 from rlbench.system import paths
-
-__all__ = ["CameraPath", "UserSceneOptions", "describe_job", "ensure_user_clip", "plan_clip"]
 
 FOLDER = "own-"  # prefix of the preset's folder in the cache
 MOVING = ("orbit", "dolly", "wander")  # paths that depend on the surfaces in view
@@ -113,7 +111,7 @@ def ensure_user_clip(
         on_message(note)
     job = job.inspect()
     on_message(describe_job(job))
-    return render_missing([job], None, executor)[0]
+    return render_missing([job], executor)[0]
 
 
 def plan_clip(
@@ -153,8 +151,6 @@ def _inspect(
         scene = replace(scene, camera=path.choose_camera(tracer, frames))
         tracer.scene = scene
     estimate = auto_exposure.estimate_exposure(tracer, frames)
-    del tracer
-    gc.collect()  # while the old scene is alive, Dr.Jit compiles kernels for the next one again
     return replace(scene, exposure=exposure or estimate)
 
 

@@ -30,15 +30,6 @@ from rlbench.render.mitsuba import xml_scene
 from rlbench.render.scene import Camera, Scene, SceneError, Vertices, XmlFile
 from rlbench.render.user import camera_path
 
-__all__ = [
-    "UserScene",
-    "checked_animation",
-    "hash_modules",
-    "open_scene_file",
-    "run_file",
-    "user_errors",
-]
-
 GENERIC_NAME = re.compile(r"scene(_v\d+)?", re.IGNORECASE)  # then the folder names the scene
 
 

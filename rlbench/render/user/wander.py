@@ -20,8 +20,6 @@ from rlbench.render.scene import Camera, SceneError
 from rlbench.render.user import auto_exposure
 from rlbench.render.user.camera_path import camera_from_matrix, matrix_from_camera
 
-__all__ = ["WANDER_VERSION", "wander"]
-
 WANDER_VERSION = 1  # raised whenever the same seed gives another path
 TRIES = 64  # paths drawn for one seed
 STEPS = 4  # most segments of the walk to the beginning of a path

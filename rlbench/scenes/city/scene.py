@@ -26,8 +26,6 @@ from rlbench.scenes.parts.shapes import (
 )
 from rlbench.scenes.parts.takes import cut_take, static_camera_take
 
-__all__ = ["scene"]
-
 TREES = (
     Tree(-5.0, -6.9, 6.8, 2.3, 3200),
     Tree(-10.2, 7.6, 8.0, 2.8),

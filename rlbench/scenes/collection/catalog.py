@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import os
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 from rlbench.registry.near_names import unknown_name
@@ -12,24 +12,6 @@ from rlbench.render.presets import PRESETS
 from rlbench.render.scene import SceneError
 from rlbench.scenes.collection.pins import SCENE_FILE, Pin, PinnedFile, read_pin
 from rlbench.system import documents, paths
-
-__all__ = [
-    "CREDITS",
-    "MIRROR_VARIABLE",
-    "CollectionScene",
-    "LocatedScene",
-    "credit",
-    "describe_state",
-    "digest",
-    "find_located",
-    "find_scene",
-    "load_catalog",
-    "locate",
-    "mirror_folder",
-    "own_pin_file",
-    "pins_folder",
-    "place_of",
-]
 
 CATALOG = Path(__file__).parent / "catalog.toml"
 SHIPPED_PINS = CATALOG.parent / "pins"
@@ -51,9 +33,9 @@ class CollectionScene:
     author: str
     licence: str  # a key of LICENCES, or words
     source: str  # address of the original
-    repository: str  # OWNER/REPOSITORY on GitHub
-    commit: str  # 40 hex digits
-    folder: str  # in the repository
+    repository: str = ""  # OWNER/REPOSITORY on GitHub
+    commit: str = ""  # 40 hex digits
+    folder: str = ""  # in the repository
     files: tuple[PinnedFile, ...] = ()  # empty: not pinned
 
     @property
@@ -80,19 +62,6 @@ class LocatedScene:
     missing: tuple[str, ...]  # pinned files that are absent or of another size, as in scene.xml
 
 
-@dataclass(frozen=True)
-class _Listed:
-    """A table of catalog.toml."""
-
-    title: str
-    author: str
-    licence: str
-    source: str
-    repository: str = ""
-    commit: str = ""
-    folder: str = ""
-
-
 def load_catalog() -> dict[str, CollectionScene]:
     """All scenes by name: those that ship, then those that the user pinned.
 
@@ -100,12 +69,17 @@ def load_catalog() -> dict[str, CollectionScene]:
     without a pin, or a scene of its own. Raises SceneError for a file that is no pin.
     """
     document = documents.read_toml(CATALOG)
-    listed = {name: documents.decode(table, _Listed) for name, table in document.items()}
+    listed = {
+        name: documents.decode({"name": name, **table}, CollectionScene)
+        for name, table in document.items()
+    }
     own = sorted(pins_folder().glob("*.tsv"))
     pin_files = {file.stem: file for file in (*own, *SHIPPED_PINS.glob("*.tsv"))}
+    pins = {name: read_pin(file) for name, file in pin_files.items()}
+    own_scenes = {name: _of_pin(name, pin) for name, pin in pins.items() if name not in listed}
     return {
-        name: _describe(name, listed.get(name), pin_files.get(name))
-        for name in dict.fromkeys((*listed, *pin_files))
+        name: replace(entry, **vars(pins[name])) if name in pins else entry
+        for name, entry in (listed | own_scenes).items()
     }
 
 
@@ -205,15 +179,12 @@ def place_of(entry: CollectionScene) -> str:
     return f"{entry.repository}@{entry.commit}:{entry.folder}"
 
 
-def _describe(name: str, listed: _Listed | None, pin_file: Path | None) -> CollectionScene:
-    """A scene of the catalog, of a pin, or of both."""
-    pinned = read_pin(pin_file) if pin_file else None
-    if listed is None:
-        assert pinned is not None
-        source = f"https://github.com/{pinned.repository}"
-        listed = _Listed(name, "unknown", UNKNOWN_LICENCE, source)
-    place = pinned or Pin(listed.repository, listed.commit, listed.folder)
-    return CollectionScene(name=name, **{**asdict(listed), **vars(place)})
+def _of_pin(name: str, pin: Pin) -> CollectionScene:
+    """A scene of the user's own, of which only the pin is known."""
+    source = f"https://github.com/{pin.repository}"
+    return CollectionScene(
+        name=name, title=name, author="unknown", licence=UNKNOWN_LICENCE, source=source
+    )
 
 
 def _folders(name: str) -> list[Path]:

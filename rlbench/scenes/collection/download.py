@@ -31,8 +31,6 @@ from rlbench.system import paths
 from rlbench.system.folder_lock import locked_folder
 from rlbench.system.paths import atomic_write, check_writable
 
-__all__ = ["DownloadError", "Fetched", "UnreachableError", "get"]
-
 RAW, RAW_VARIABLE = "https://raw.githubusercontent.com", "RLBENCH_SCENES_URL"
 THREADS, TRIES, PAUSE_S, TIMEOUT_S = 4, 3, 1.0, 20.0
 CHUNK = 2**16  # bytes between two looks at Ctrl-C

@@ -24,17 +24,6 @@ from urllib.request import Request, urlopen
 from rlbench.registry.near_names import unknown_name
 from rlbench.render.scene import SceneError
 
-__all__ = [
-    "SCENE_FILE",
-    "Pin",
-    "PinnedFile",
-    "blob_id",
-    "format_pin",
-    "parse_place",
-    "pin",
-    "read_pin",
-]
-
 SCENE_FILE = "scene.xml"  # in the folder of every scene
 NOT_NEEDED = (  # names of files that the repositories keep beside a scene, and that render nothing
     "TungstenRender.*",

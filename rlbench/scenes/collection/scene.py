@@ -15,8 +15,6 @@ from rlbench.render.user.scene_file import open_scene_file
 from rlbench.render.user.wander import WANDER_VERSION
 from rlbench.scenes.collection.catalog import LocatedScene, digest, locate
 
-__all__ = ["collection_scene"]
-
 
 def collection_scene(name: str, seed: int | None = None) -> Scene:
     """A scene of the collection: a dolly from its own camera or, with `seed`, a random path.

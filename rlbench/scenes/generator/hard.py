@@ -27,8 +27,6 @@ from rlbench.scenes.generator.motion import draw_camera_track, draw_movers, draw
 from rlbench.scenes.generator.scene import deal
 from rlbench.scenes.parts.shapes import Shape, merge
 
-__all__ = ["LEVELS", "MOVES", "TONES", "hard_scene"]
-
 TONES = {"bright": 0.6, "medium": 0.45, "dark": 0.27}  # mean albedo, for the exposure
 MOVES = ("walk", "walk", "walk", "dolly", "orbit", "orbit", "pan", "still")
 MOTIONS = ("nothing moves", "nothing moves", "objects move", "objects move")

@@ -26,8 +26,6 @@ from rlbench.scenes.generator.objects import scatter_objects
 from rlbench.scenes.generator.places import PLACES
 from rlbench.scenes.parts.shapes import Shape, boxes, yaw_matrix
 
-__all__ = ["EVENTS", "FAMILIES", "deal", "eventful_scene", "scene"]
-
 FAMILIES = ("room", "hall", "open", "water")
 DISPLAY_GREY = 0.22  # display value to which the exposure maps the estimated mean radiance
 EVENTS = ("none", "none", "switch", "switch", "cut", "hurry", "switch and cut", "hurry and switch")

@@ -29,8 +29,6 @@ from rlbench.scenes.parts.materials import (
 from rlbench.scenes.parts.shapes import Shape, boxes, merge, paint, quads, transform, yaw_matrix
 from rlbench.scenes.parts.takes import cut_take, frozen_take, static_camera_take
 
-__all__ = ["scene"]
-
 TUBE_RADIANCE = (0.95, 1.15, 1.36)  # radiance
 
 

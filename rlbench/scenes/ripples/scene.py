@@ -23,8 +23,6 @@ from rlbench.scenes.ripples.bath import (
 )
 from rlbench.scenes.ripples.lilies import FLOATING_COLOURS, build_floating
 
-__all__ = ["scene"]
-
 DROPS = ((-1.1, 0.4, 0.0), (1.3, -0.9, 21.0), (0.5, 1.7, 43.0))  # x, y, first frame
 GLASS_BSDF = {"type": "dielectric", "int_ior": 1.5}
 

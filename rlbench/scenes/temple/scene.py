@@ -49,8 +49,6 @@ from rlbench.scenes.temple.stone import (
     wood_pixels,
 )
 
-__all__ = ["scene"]
-
 LAMP_PIVOT = np.array([-1.9, 6.5, HEIGHT])  # the lamp hangs from it
 RING_CENTRE = np.array([0.0, 12.5, 2.4])  # centre of the turning rings
 POTS = ((2.25, 6.0), (-2.2, 8.4), (2.2, 17.2), (-2.2, 19.0), (-2.3, 3.4))

@@ -110,4 +110,4 @@ def test_a_family_that_cannot_be_imported_fails(tmp_path, monkeypatch):
     (line,) = [line for line in lines if "✗" in line]
     assert line.startswith("  ✗ be importable: torn from --plugin torn.py cannot be imported: ")
     assert "ZeroDivisionError: division by zero (torn.py:1) -> correct the line" in line
-    assert lines[-1] == "0 methods checked; failed: torn"
+    assert lines[-1] == "1 method checked; failed: torn"

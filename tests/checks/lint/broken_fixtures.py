@@ -11,9 +11,9 @@ import torch
 
 from rlbench.checks.lint.clip_arrays import ClipArrays
 from rlbench.clips.exr import write_exr
-from rlbench.clips.frame_files import exr_path
+from rlbench.clips.frame_files import exr_path, write_frame
+from rlbench.clips.header import Header, write_header
 from rlbench.clips.procedural.clip import procedural_clip
-from rlbench.clips.stored import Header, write_frame, write_header
 from rlbench.frames import Size
 
 POOL, HALF = 8, 256  # samples of the pool, and of each half of the reference

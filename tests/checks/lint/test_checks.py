@@ -14,7 +14,8 @@ from rlbench.checks.lint.clip_arrays import read_clip_arrays
 from rlbench.checks.lint.motion import check_motion
 from rlbench.checks.result import Verdict
 from rlbench.cli.app import app
-from rlbench.clips.stored import ClipError, open_clip
+from rlbench.clips.header import ClipError
+from rlbench.clips.stored import open_clip
 from tests.checks.lint.broken_fixtures import FAULTS, break_values, correct_clip, store
 
 QUICK = (  # faults of one clip, which always run; each fault alone is slow

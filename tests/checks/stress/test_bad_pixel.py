@@ -9,7 +9,7 @@ import torch
 
 from rlbench.checks.result import Verdict
 from rlbench.checks.stress import bad_pixel
-from rlbench.checks.stress.faults import VALUES, Blast, compare_frames, plant_in_state
+from rlbench.checks.stress.bad_pixel import VALUES, Blast, compare_frames, plant_in_state
 from rlbench.frames import Size
 from tests.checks.stress import broken_methods as broken
 from tests.checks.stress.broken_methods import STATELESS

@@ -150,7 +150,7 @@ def test_results_before_an_exception_of_a_section_are_kept(tmp_path, monkeypatch
         "def run(stressed, is_quick):\n"
         "    yield not_applicable('first', 'no reason')\n"
         "    raise KeyError('second')\n"
-        "SECTION = MethodSection('half', 'Does it end?', run)\n"
+        "SECTION = MethodSection(run)\n"
     )
     monkeypatch.syspath_prepend(tmp_path)
     monkeypatch.setitem(section.CORE_SECTIONS, "half", "half_section:SECTION")

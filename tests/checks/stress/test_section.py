@@ -11,13 +11,13 @@ from rlbench.errors import OptionError, PluginError
 
 MODULE = """
 from rlbench.checks.stress.section import SuiteSection
-SECTION = SuiteSection("{name}", "Is it there?", lambda is_quick: iter(()))
+SECTION = SuiteSection(lambda is_quick: iter(()))
 """
 
 
 def install(folder, monkeypatch, name, content=MODULE):
     """A package that registers the stress section `name`."""
-    (folder / "extra_section.py").write_text(content.format(name=name))
+    (folder / "extra_section.py").write_text(content)
     info = folder / "extra-1.dist-info"
     info.mkdir()
     (info / "METADATA").write_text("Metadata-Version: 2.1\nName: extra\nVersion: 1\n")
@@ -27,24 +27,21 @@ def install(folder, monkeypatch, name, content=MODULE):
 
 
 @pytest.mark.parametrize("name", list_sections())
-def test_every_section_can_be_loaded_and_asks_a_question(name):
-    section = load_section(name)
-    assert section.name == name
-    assert section.title.endswith("?")
+def test_every_section_can_be_loaded(name):
+    assert callable(load_section(name).run)
 
 
 def test_a_section_of_a_plugin_is_listed_last(tmp_path, monkeypatch):
     install(tmp_path, monkeypatch, "zebra")
     assert list(list_sections())[-1] == "zebra"
-    assert load_section("zebra").title == "Is it there?"
+    assert list(load_section("zebra").run(True)) == []
 
 
 @pytest.mark.parametrize(
     ("name", "content", "problem"),
     [
         ("budgets", MODULE, "has the name of a section of rlbench"),
-        ("zebra", "SECTION = '{name}'", "an object of type str"),
-        ("zebra", MODULE.format(name="horse"), "has the name 'horse'"),
+        ("zebra", "SECTION = 'zebra'", "an object of type str"),
     ],
 )
 def test_a_plugin_that_is_no_section_of_its_own_is_refused(

@@ -11,8 +11,9 @@ from typer.testing import CliRunner
 
 from rlbench.benchmark import results
 from rlbench.cli.app import app
+from rlbench.clips.header import ClipError, read_header
 from rlbench.clips.importers import formats, writer
-from rlbench.clips.stored import ClipError, open_clip, read_header, verify
+from rlbench.clips.stored import open_clip, verify
 from rlbench.system import paths
 from tests.clips.importers.sources import exr, radiance, write_oidn, write_rl_path_tracing
 

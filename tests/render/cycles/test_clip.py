@@ -14,7 +14,8 @@ import pytest
 from rlbench.checks.lint.checks import lint_clip
 from rlbench.checks.lint.clip_arrays import read_clip_arrays
 from rlbench.checks.result import Verdict
-from rlbench.clips.stored import open_clip, read_header, verify
+from rlbench.clips.header import read_header
+from rlbench.clips.stored import open_clip, verify
 from rlbench.render.cycles import process
 from rlbench.render.cycles.clip import ensure_cycles
 from rlbench.render.cycles.process import CyclesError

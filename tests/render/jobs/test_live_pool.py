@@ -17,7 +17,8 @@ from rlbench.benchmark.cost import FULL_FRAME
 from rlbench.benchmark.run_plan import CellLoader, RunPlan, list_cells
 from rlbench.benchmark.timing import ScatterMeter
 from rlbench.clips.exr import channel_dtype
-from rlbench.clips.stored import ClipError, open_clip, read_header
+from rlbench.clips.header import ClipError, read_header
+from rlbench.clips.stored import open_clip
 from rlbench.family import Traits
 from rlbench.render.jobs.job import Job
 from rlbench.render.jobs.live_pool import (

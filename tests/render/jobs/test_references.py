@@ -8,7 +8,8 @@ import pytest
 import torch
 
 from metrics.catalog import PSNR
-from rlbench.clips.stored import open_clip, read_header
+from rlbench.clips.header import read_header
+from rlbench.clips.stored import open_clip
 from rlbench.render.jobs import references
 from rlbench.render.jobs.job import Job
 from rlbench.render.jobs.render_clips import render_clip

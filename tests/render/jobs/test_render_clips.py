@@ -10,11 +10,18 @@ from typer.testing import CliRunner
 
 from rlbench import registry
 from rlbench.cli.app import app
-from rlbench.clips.stored import ClipError, open_clip, read_header, verify, write_header
+from rlbench.clips.header import ClipError, read_header, write_header
+from rlbench.clips.stored import open_clip, verify
 from rlbench.ops.reprojection import reproject
 from rlbench.render.jobs.job import Job
 from rlbench.render.jobs.live_pool import open_live_clip
-from rlbench.render.jobs.render_clips import ensure, remeasure_sample_ms, render_clip, scene_of_clip
+from rlbench.render.jobs.render_clips import (
+    preset_jobs,
+    remeasure_sample_ms,
+    render_clip,
+    render_missing,
+    scene_of_clip,
+)
 from rlbench.render.mitsuba.gbuffer import render_gbuffer
 from rlbench.render.mitsuba.open_tracer import open_tracer
 from rlbench.render.presets import Preset
@@ -146,7 +153,7 @@ def test_frames_of_another_renderer_are_not_removed(llvm, tmp_path):
 
 def test_an_unknown_scene_is_an_error_that_lists_the_available_ones(tmp_path):
     with pytest.raises(LookupError, match="temple"):
-        ensure("tiny", scenes=["atlantis"], folder=tmp_path)
+        preset_jobs("tiny", scenes=["atlantis"])
 
 
 def test_a_cap_dims_inputs_and_references_alike_and_is_in_the_header(clip, tmp_path):
@@ -190,7 +197,9 @@ def place(tmp_path_factory):
 
 @pytest.fixture
 def clips(llvm, installed, place):
-    return {folder.name: folder for folder in ensure(TAKES_PRESET, folder=place)}  # rendered once
+    return {
+        folder.name: folder for folder in render_missing(preset_jobs(TAKES_PRESET, folder=place))
+    }  # rendered once
 
 
 def test_an_unknown_take_is_an_error_that_lists_the_available_ones(installed):
@@ -221,12 +230,15 @@ def test_a_scene_name_selects_the_takes_of_the_preset_and_a_clip_name_one_take(
     monkeypatch.setattr(
         "rlbench.render.jobs.render_clips._render_all", lambda jobs, bar, executor: None
     )
-    folders = ensure(replace(TAKES_PRESET, takes=takes), scenes, folder=tmp_path)
+    folders = render_missing(
+        preset_jobs(replace(TAKES_PRESET, takes=takes), scenes, folder=tmp_path)
+    )
     assert [folder.name for folder in folders] == clip_names
 
 
 def test_the_estimate_counts_all_takes(llvm, installed, tmp_path, capsys):
-    ensure(replace(TAKES_PRESET, size=(4, 6), frames=1, reference_spp=1), folder=tmp_path)
+    small = replace(TAKES_PRESET, size=(4, 6), frames=1, reference_spp=1)
+    render_missing(preset_jobs(small, folder=tmp_path))
     assert "rendering 3 clips of preset test" in capsys.readouterr().err.replace("\n", " ")
 
 

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from rlbench.clips.stored import read_header
+from rlbench.clips.header import read_header
 from rlbench.render.user.clip import UserSceneOptions, ensure_user_clip
 from tests.render.user.xml_room import (
     PASSING,

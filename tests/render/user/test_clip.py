@@ -8,7 +8,8 @@ from typer.testing import CliRunner
 
 from rlbench.benchmark import results
 from rlbench.cli.app import app
-from rlbench.clips.stored import open_clip, read_header, verify
+from rlbench.clips.header import read_header
+from rlbench.clips.stored import open_clip, verify
 from rlbench.render.user.clip import UserSceneOptions, ensure_user_clip
 from tests.render.user.xml_room import (
     BODY,

@@ -5,7 +5,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from rlbench.clips.stored import open_clip, read_header
+from rlbench.clips.header import read_header
+from rlbench.clips.stored import open_clip
 from rlbench.render.mitsuba.gbuffer import render_gbuffer
 from rlbench.render.mitsuba.open_tracer import open_tracer
 from rlbench.render.user import camera_path

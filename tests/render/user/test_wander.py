@@ -7,7 +7,7 @@ import pytest
 from typer.testing import CliRunner
 
 from rlbench.cli.app import app
-from rlbench.clips.stored import read_header
+from rlbench.clips.header import read_header
 from rlbench.render.mitsuba.open_tracer import open_tracer
 from rlbench.render.mitsuba.variant import select_variant
 from rlbench.render.scene import Camera, Scene, SceneError, XmlFile

@@ -8,7 +8,7 @@ import pytest
 import torch
 from kornia.color import rgb_to_linear_rgb
 
-from rlbench.clips.stored import read_header
+from rlbench.clips.header import read_header
 from rlbench.render.mitsuba import xml_scene
 from rlbench.render.mitsuba.open_tracer import open_tracer
 from rlbench.render.mitsuba.xml_repairs import repair_text

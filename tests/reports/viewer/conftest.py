@@ -61,22 +61,50 @@ def report(run_folder) -> Report:
 
 
 @pytest.fixture(scope="session")
-def browser() -> Iterator[Any]:
-    """Headless Chromium with a WebGL2 that needs no graphics card."""
+def playwright() -> Iterator[Any]:
+    """What starts browsers."""
     if not CHROMIUM:
         reason = "no chromium is installed: apt-get install chromium"
         (pytest.fail if os.environ.get("RLBENCH_REQUIRE_BROWSER") else pytest.skip)(reason)
-    with launch_chromium(CHROMIUM) as chromium:
+    from playwright.sync_api import sync_playwright
+
+    with sync_playwright() as started:
+        yield started
+
+
+@pytest.fixture(scope="session")
+def browser(playwright) -> Iterator[Any]:
+    """Headless Chromium with a WebGL2 that needs no graphics card."""
+    with launch_chromium(playwright, CHROMIUM) as chromium:
+        yield chromium
+
+
+@pytest.fixture(scope="session")
+def plain_browser(playwright) -> Iterator[Any]:
+    """Headless Chromium without WebGL."""
+    with launch_chromium(playwright, CHROMIUM, has_webgl=False) as chromium:
         yield chromium
 
 
 @pytest.fixture
 def open_page(browser, report) -> Iterator[Any]:
     """Opens the page at a hash. After the test: no error was logged, and nothing was fetched."""
+    yield from _opener(browser, report.file)
+
+
+@pytest.fixture(params=["browser", "plain_browser"])
+def open_anywhere(request, report) -> Iterator[Any]:
+    """As `open_page`, in a browser with WebGL2 and in one without."""
+    yield from _opener(request.getfixturevalue(request.param), report.file)
+
+
+def _opener(browser: Any, page: Path) -> Iterator[Any]:
     screens: list[Screen] = []
 
-    def open_at(place: str = "", width: int = 1280, scheme: str = "light") -> Screen:
-        screens.append(Screen.open(browser, report.file, place, width, scheme))
+    def open_at(
+        place: str = "", width: int = 1280, scheme: str = "light", file: Path = page
+    ) -> Screen:
+        screens.append(Screen.open(browser, file, place, width, scheme))
         return screens[-1]
 
     yield open_at

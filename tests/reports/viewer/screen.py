@@ -35,20 +35,15 @@ def find_chromium() -> str:
 
 
 @contextmanager
-def launch_chromium(path: str) -> Iterator[Any]:
-    """Headless Chromium with a WebGL2 that needs no graphics card."""
-    from playwright.sync_api import sync_playwright
-
-    options = [
-        "--use-angle=swiftshader",
-        "--enable-unsafe-swiftshader",
-        "--force-color-profile=srgb",
-    ]
+def launch_chromium(playwright: Any, path: str, has_webgl: bool = True) -> Iterator[Any]:
+    """Headless Chromium, with a WebGL2 that needs no graphics card, or without WebGL."""
+    options = ["--use-angle=swiftshader", "--enable-unsafe-swiftshader"]
+    options = options if has_webgl else ["--disable-3d-apis"]
+    options += ["--force-color-profile=srgb"]
     options += ["--no-sandbox"] if os.geteuid() == 0 else []
-    with sync_playwright() as playwright:
-        chromium = playwright.chromium.launch(executable_path=path, args=options)
-        yield chromium
-        chromium.close()
+    chromium = playwright.chromium.launch(executable_path=path, args=options)
+    yield chromium
+    chromium.close()
 
 
 @dataclass

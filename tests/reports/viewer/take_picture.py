@@ -15,7 +15,9 @@ WIDTH = 1280  # pixels
 
 def take_picture(report: Path, picture: Path, place: str = "") -> None:
     """Write a PNG of what the page shows at the hash `place` of its address."""
-    with launch_chromium(find_chromium()) as chromium:
+    from playwright.sync_api import sync_playwright
+
+    with sync_playwright() as started, launch_chromium(started, find_chromium()) as chromium:
         screen = Screen.open(chromium, report.resolve(), place, WIDTH, "light")
         screen.page.screenshot(path=str(picture))
 

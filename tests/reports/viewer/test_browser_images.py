@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from tests.reports.viewer.conftest import METHODS, SIDE
+from tests.reports.viewer.screen import Screen
 
 COLOUR = 2 / 255  # rounding of the tile, of the half float and of 8 bits, on a smooth pixel
 SPP = 1.0
@@ -46,8 +47,8 @@ def check(screen, report, method, x, y, frame=0, pane=0):
     np.testing.assert_allclose(screen.pixel(x, y, SIDE, pane), expected, atol=COLOUR)
 
 
-def test_keys_1_to_9_and_r_show_a_method_in_place(open_page, report):
-    screen = open_page("view=flip")
+def test_keys_1_to_9_and_r_show_a_method_in_place(open_anywhere, report):
+    screen = open_anywhere("view=flip")
     names = ranked(screen)
     assert set(names) == {*METHODS, "reference"}
     x, y = contrast_pixel(report, "mean", "reference")
@@ -67,8 +68,8 @@ def test_space_blinks_a_and_b(open_page, report):
         check(screen, report, name, x, y)
 
 
-def test_a_drag_splits_a_from_b(open_page, report):
-    screen = open_page("view=flip&a=mean&b=eaw")
+def test_a_drag_splits_a_from_b(open_anywhere, report):
+    screen = open_anywhere("view=flip&a=mean&b=eaw")
     x, y = contrast_pixel(report, "mean", "eaw")
     (box,) = screen.panes()
     middle = box["y"] + box["height"] / 2
@@ -96,8 +97,8 @@ def _filmic(v):
 
 
 @pytest.mark.parametrize("curve", CURVES)
-def test_exposure_and_tone_curve_act_on_radiance(open_page, report, curve):
-    screen = open_page(f"view=flip&show=ref&curve={curve}")
+def test_exposure_and_tone_curve_act_on_radiance(open_anywhere, report, curve):
+    screen = open_anywhere(f"view=flip&show=ref&curve={curve}")
     x, y = contrast_pixel(report, "mean", "reference")
     for keys, stops in (("Shift+E", -0.5), ("Shift+E", -1.0), ("e", -0.5)):
         screen.press(keys)
@@ -118,9 +119,9 @@ def test_the_slider_of_exposure_and_the_key_of_the_curve_change_what_they_should
     assert screen.state["curve"] == "hable"
 
 
-def test_a_zoom_shows_single_pixels_in_all_panes(open_page, report):
+def test_a_zoom_shows_single_pixels_in_all_panes(open_anywhere, report):
     x, y = contrast_pixel(report, "mean", "reference")
-    screen = open_page("view=flip&show=all")
+    screen = open_anywhere("view=flip&show=all")
     screen.press("ArrowRight")  # a pixel near the middle is listed
     for _ in range(6):
         screen.press("+")
@@ -177,6 +178,14 @@ def test_a_drag_with_shift_moves_the_image(open_page, report):
     check(screen, report, "reference", x, y)
 
 
+def test_without_webgl2_one_sentence_says_what_is_missing(plain_browser, open_page, report):
+    plain = Screen.open(plain_browser, report.file, "view=flip", 1280, "light")
+    sentence = "Images are drawn without WebGL2, more slowly"
+    assert plain.text("#remarks").count(sentence) == 1
+    assert sentence not in open_page("view=flip").text("#remarks")
+    plain.page.context.close()
+
+
 def colour(name, share):
     return np.array(mpl.colormaps[name](np.rint(np.clip(share, 0, 1) * 255) / 255)[:3])
 
@@ -214,8 +223,8 @@ def expected_layer(report, layer, method, x, y):
 @pytest.mark.parametrize(
     "layer", ["signed", "squared", "counts", "albedo", "normal", "depth", "motion"]
 )
-def test_layers_show_their_values_on_one_scale(open_page, report, layer):
-    screen = open_page("view=layers")
+def test_layers_show_their_values_on_one_scale(open_anywhere, report, layer):
+    screen = open_anywhere("view=layers")
     screen.page.get_by_label("layer").select_option(layer)
     screen.settle()
     # rounding of the tiles moves a colour by a few of the 256 steps of its map
@@ -256,8 +265,8 @@ def test_the_flip_map_is_that_of_the_authors(open_page, report):
     np.testing.assert_allclose(np.reshape(found, (SIDE, SIDE)), expected[..., 0], atol=1e-3)
 
 
-def test_the_layer_flip_shows_the_map_of_each_method(open_page, report):
-    screen = open_page("view=layers&layer=flip")
+def test_the_layer_flip_shows_the_map_of_each_method(open_anywhere, report):
+    screen = open_anywhere("view=layers&layer=flip")
     x, y = contrast_pixel(report, "mean", "reference")
     for pane, box in enumerate(screen.panes()):
         share = screen.page.evaluate(

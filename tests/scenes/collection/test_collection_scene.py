@@ -5,7 +5,7 @@ import hashlib
 import numpy as np
 import pytest
 
-from rlbench.clips.stored import read_header
+from rlbench.clips.header import read_header
 from rlbench.render.jobs.render_clips import preset_jobs, render_missing, scene_of_clip
 from rlbench.render.mitsuba.variant import select_variant
 from rlbench.render.presets import PRESETS, Preset

@@ -31,16 +31,6 @@ from methods.ours.policy import (
 from methods.ours.policy.sample_gradients import kuznetsov_gradient_per_sample
 from rlbench.training.surrogate_gradient import SampleGradient, kuznetsov_gradient
 
-__all__ = [
-    "ESTIMATORS",
-    "Estimator",
-    "GradientStatistics",
-    "Interval",
-    "Measurement",
-    "ScoreFunction",
-    "measure",
-]
-
 BATCH = 32  # images of one backward pass
 SMALLER_BLOCKS = "use smaller blocks, at the price of more noise"
 Z95 = 1.96  # standard errors of a 95 % interval

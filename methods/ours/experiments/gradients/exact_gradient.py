@@ -35,24 +35,6 @@ from methods.ours.experiments.toy_problem import (
 from rlbench.ops.dither import THRESHOLD_BITS, hash_to_integer
 from rlbench.training.surrogate_gradient import relaxed_counts
 
-__all__ = [
-    "BUDGETS",
-    "DENOISERS",
-    "SIDE",
-    "TILE",
-    "RoundingOutcomes",
-    "SystematicProblem",
-    "TileAction",
-    "expected_error",
-    "hilbert_order",
-    "list_outcomes",
-    "make_problem",
-    "relaxed_error",
-    "round_systematically",
-    "tile_parameters",
-    "true_gradient",
-]
-
 SIDE = 24  # rows and columns of the image
 TILE = 6  # rows and columns of a tile: the density has one parameter per tile, 16 in total
 BUDGETS = (0.0625, 0.25, 0.5, 1.0, 2.0, 4.0, 8.0, 16.0, 64.0)  # samples per pixel

@@ -31,17 +31,6 @@ from methods.ours.policy import BlockPolicyGradient, BlockReinforce
 from methods.ours.policy.appo import AppoSettings
 from methods.ours.policy.joint_appo import joint_ratio, pixel_ratios
 
-__all__ = [
-    "RATIO_KINDS",
-    "SIDES",
-    "Saturation",
-    "adam_step",
-    "clipped_shares",
-    "gradient_row",
-    "measure_saturation",
-    "write_tables",
-]
-
 PROGRAM = "python -m methods.ours.experiments.gradients.measure"
 GRADIENTS, RATIOS = "gradients.csv", "importance_ratio.csv"
 EXPLORED_DRAWS = 32  # of the slow reference, whose draws have little noise

@@ -21,8 +21,6 @@ from methods.ours.experiments.gradients.measure import (
 from rlbench.checks.result import CheckResult, Limits, judge, not_applicable
 from rlbench.checks.stress.section import SuiteSection
 
-__all__ = ["SECTION", "judge_estimator", "run_gradients"]
-
 # A step along the estimate achieves this share of the steepest descent: 0.71 is an angle of 45
 # degrees, where half of the squared gradient is lost.
 DIRECTION = Limits(good=0.95, fair=0.71, unit="cosine")
@@ -133,6 +131,4 @@ def _where(measurement: Measurement) -> str:
     return f"at {measurement.spp:g} spp, {measurement.denoiser}"
 
 
-SECTION = SuiteSection(
-    "gradients", "How biased and how noisy are the gradients that train a sampler?", run_gradients
-)
+SECTION = SuiteSection(run_gradients)

@@ -3,7 +3,7 @@ import torch
 
 from metrics.catalog import PSNR
 from metrics.metric import Comparison
-from rlbench.checks.stress.display import largest_difference, psnr, to_display
+from rlbench.checks.display import largest_difference, psnr, to_display
 
 
 @pytest.mark.parametrize("scale", [1e-3, 1.0, 1e3])

@@ -11,8 +11,6 @@ from torch import Tensor
 from rlbench.ops.color import encode_srgb
 from rlbench.run import FrameResult
 
-__all__ = ["CAP_DB", "largest_difference", "psnr", "psnr_of_frames", "to_display"]
-
 CAP_DB = 100.0  # PSNR of equal images
 
 
