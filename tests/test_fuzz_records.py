@@ -28,7 +28,7 @@ from torch import nn
 
 from rlbench.benchmark import results
 from rlbench.benchmark.cell_key import CellId, CellKey
-from rlbench.benchmark.regression.baseline import load_baseline
+from rlbench.benchmark.regression.baseline import SCHEMA, load_baseline
 from rlbench.benchmark.results import Row
 from rlbench.errors import RlbenchError
 from rlbench.weights import ModelCard, card_path, load_into, read_card, save, training_clips
@@ -192,7 +192,8 @@ test_changed_weights_are_loaded_or_refused = examples(load_changed_weights, weig
 # Baselines
 
 ENTRY = {"method": "ours", "scene": "city", "target_spp": 2.0, "psnr": 30.0, "tolerance_db": 0.1}
-BASELINE = {"schema": 2, "preset": "mini", "command": "", "tolerance_db": 0.05, "entries": [ENTRY]}
+BASELINE = {"schema": SCHEMA, "preset": "mini", "command": "", "seed": 0, "speed": []}
+BASELINE |= {"tolerance_db": 0.05, "entries": [ENTRY]}
 
 
 def baseline_contents() -> st.SearchStrategy[bytes]:

@@ -97,7 +97,7 @@ def read_gallery(
         )
     _, height, width = images[0].shape
     none = np.zeros((0, 3, height, width), np.float32)
-    shown = tuple(
+    outputs = tuple(
         ShownImages(
             method=name, target_spp=0.0, seed=0, device="", frames=image[None], counts=none[:, 0]
         )
@@ -111,7 +111,7 @@ def read_gallery(
         light_changes=(),
         reference=none,
         buffers={},
-        images=shown,
+        images=outputs,
     )
     return clip, remarks
 

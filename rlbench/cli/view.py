@@ -80,8 +80,10 @@ def view(
         found, reason = find_images(results, rows, clips, spp)
         remarks = [f"the page has decision and table alone: {reason}"] if reason else []
         traits = {name: describe_traits(name) for name in sorted(set(rows["method"]))}
-        shown = list(found)
-        remarks += reports.viewer.write(rows, target, shown, traits, remarks, int(max_mb * 1e6))
+        found_clips = list(found)
+        remarks += reports.viewer.write(
+            rows, target, found_clips, traits, remarks, int(max_mb * 1e6)
+        )
     typer.echo(target)
     for remark in remarks:
         typer.echo(remark, err=True)

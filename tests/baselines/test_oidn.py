@@ -50,9 +50,8 @@ def test_invalid_radiance_gives_a_finite_image(bad):
     assert torch.isfinite(image).all()
 
 
-@pytest.mark.parametrize("value", [-1e4, 1e4])
-def test_output_out_of_range_gives_radiance_within_half_floats(value):
-    image = to_radiance(torch.full((1, 3, 2, 2), value), torch.ones(1, 1, 1, 1))
+def test_output_out_of_range_gives_radiance_within_half_floats():
+    image = to_radiance(torch.tensor([-1e4, 1e4]).expand(1, 3, 2, 2), torch.ones(1, 1, 1, 1))
     assert ((image >= 0) & (image <= 65504 * 1.001)).all()  # PU in float32
 
 

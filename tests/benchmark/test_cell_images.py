@@ -26,8 +26,8 @@ from tests.benchmark.test_runner import run_plan, scores
 from tests.conftest import write_noise, write_plugin
 
 
-def keep(plan, folder: Path, **options: object) -> RunSummary:
-    return measure(plan, folder, keep_images=True, **options)
+def keep(plan, folder: Path) -> RunSummary:
+    return measure(plan, folder, keep_images=True, scores_only=True)
 
 
 def kept(folder: Path) -> dict[str, bytes]:
@@ -82,7 +82,7 @@ def test_half_floats_change_psnr_by_less_than_a_hundredth_of_a_decibel(target_db
 
 
 def test_a_cell_with_scores_but_without_images_is_run_again_and_keeps_its_scores(plan, tmp_path):
-    measure(plan, tmp_path / "r")
+    measure(plan, tmp_path / "r", scores_only=True)
     before = scores(tmp_path / "r")
     assert keep(plan, tmp_path / "r") == RunSummary(measured=1)
     assert scores(tmp_path / "r") == before
@@ -95,7 +95,7 @@ def test_an_error_while_images_are_made_leaves_the_scores(clip_folder, tmp_path,
     (tmp_path / "file").touch()
     registry.use_plugin(write_plugin(tmp_path / "odd.py", "odd", body=body))
     plan = run_plan(clip_folder, "odd")
-    measure(plan, tmp_path / "r")
+    measure(plan, tmp_path / "r", scores_only=True)
     before = table.read(tmp_path / "r")
     (tmp_path / "file").unlink()
     done = keep(plan, tmp_path / "r")
@@ -119,8 +119,7 @@ def test_a_cell_that_lacks_a_file_of_its_images_is_run_again(plan, tmp_path, nam
 def test_a_run_without_the_option_and_new_times_leave_images_as_they_are(plan, tmp_path):
     keep(plan, tmp_path / "r")
     before = kept(tmp_path / "r")
-    assert measure(plan, tmp_path / "r") == RunSummary(cached=1)
-    assert measure(plan, tmp_path / "r", retime=True) == RunSummary(timed=1)
+    assert measure(plan, tmp_path / "r") == RunSummary(timed=1)
     assert measure(replace(plan, cost="paper-2080ti"), tmp_path / "r") == RunSummary(timed=1)
     assert kept(tmp_path / "r") == before
     assert keep(replace(plan, cost="paper-2080ti"), tmp_path / "r") == RunSummary(cached=1)
@@ -135,7 +134,7 @@ def test_images_of_a_superseded_cell_are_removed(clip_folder, tmp_path, keeps):
     write_plugin(file, "gain", gain=2.0)
     registry.clear_plugins()
     registry.use_plugin(file)
-    measure(run_plan(clip_folder, "gain"), tmp_path / "r", keep_images=keeps)
+    measure(run_plan(clip_folder, "gain"), tmp_path / "r", keep_images=keeps, scores_only=True)
     assert not older.exists()
     assert len(list((tmp_path / "r" / "images").iterdir())) == keeps
 
@@ -194,7 +193,7 @@ def test_a_changed_byte_is_found_when_the_image_is_read(plan, tmp_path):
 @pytest.fixture
 def shown_plan(clip_folder, tmp_path):
     plan = run_plan(clip_folder, spp=(1.0, 2.0), seeds=(0, 1))
-    measure(plan, tmp_path / "r", keep_images=True)
+    keep(plan, tmp_path / "r")
     return plan
 
 

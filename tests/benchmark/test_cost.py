@@ -21,17 +21,11 @@ def test_published_times_are_scaled_by_pixels_as_their_convention_says():
     price = cost.profile("paper-2080ti").sample("temple", 360, 180)
     assert price.ms == pytest.approx(16.6 / 8)
     assert price.convention.endswith("scaled by pixels from 720x720")
-
-
-def test_a_scene_that_a_profile_does_not_name_has_a_note():
-    price = cost.profile("paper-2080ti").sample("foyer", 720, 720)
-    assert price.note == "the profile's default, as it has no 'foyer'"
-
-
-@pytest.mark.parametrize("scene", ["city", "hall", "foyer"])
-def test_costs_of_one_profile_share_a_convention(scene):
-    published = cost.profile("paper-2080ti")
-    assert published.sample(scene, 96, 96).convention == published.sample("temple", 9, 9).convention
+    other = cost.profile("paper-2080ti").sample("foyer", 720, 720)
+    assert (other.note, other.convention) == (
+        "the profile's default, as it has no 'foyer'",
+        price.convention,
+    )
 
 
 def test_a_profile_may_be_a_file(tmp_path):
@@ -91,9 +85,7 @@ def test_inference_times_are_scaled_from_the_nearest_size(tmp_path):
     assert profile.inference("ours", 100, 200).ms == 16
     assert profile.inference("ours", 1000, 500).ms == 150
     assert profile.inference("svgf", 1000, 1000).ms == 400
-    assert (
-        profile.inference("ours", 1000, 500).convention == "d, s, scaled by pixels from 1000x1000"
-    )
+    assert profile.inference("ours", 1000, 500).convention.endswith("pixels from 1000x1000")
     assert profile.inference("oidn", 100, 100) is None
 
 
@@ -115,8 +107,9 @@ def test_a_time_of_a_sample_that_varied_too_much_is_unreliable(clip_folder):
 
 def test_the_convention_names_the_variant_and_the_threads_of_the_tracer(clip_folder):
     header, machine = here(clip_folder, timed_with="llvm_ad_rgb, 3 threads")
-    convention = cost.measured(header, machine).convention
-    assert convention == f"path tracer, measured on {machine}, llvm_ad_rgb, 3 threads"
+    price = cost.measured(header, machine)
+    assert price.sample_ms == 8.0
+    assert price.convention == f"path tracer, measured on {machine}, llvm_ad_rgb, 3 threads"
 
 
 def test_a_g_buffer_costs_what_the_clips_renderer_found_relative_to_a_sample(clip_folder):
@@ -139,12 +132,6 @@ def test_a_clip_without_the_time_of_its_g_buffer_charges_none_and_says_so(clip_f
 def test_an_unknown_profile_lists_those_that_exist():
     with pytest.raises(CostError, match="no cost profile 'x'. Use measured, paper-2080ti"):
         cost.profile("x")
-
-
-def test_a_clip_rendered_here_costs_what_its_renderer_wrote(clip_folder):
-    here = provenance.machine().name
-    header = replace(read_header(clip_folder), device=here, sample_ms=7.5)
-    assert cost.measured(header, here).sample_ms == 7.5
 
 
 def test_a_scene_that_cannot_be_traced_here_has_no_cost_and_a_reason(clip_folder):

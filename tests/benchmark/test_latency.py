@@ -181,11 +181,6 @@ def test_the_middle_half_drops_a_quarter_at_each_end(count, kept):
     assert sum(middle) / kept == (count - 1) / 2
 
 
-SIZE = Size(1, 8, 8)
-
-CPU = torch.device("cpu")
-
-
 @dataclass(frozen=True)
 class Sleepy:
     """A method whose times are known: it sleeps."""
@@ -209,7 +204,7 @@ class Sleepy:
 
 
 def time_sleepers(*methods, repeats=1, frames=3):
-    clip = procedural_clip(size=SIZE, frames=frames)
+    clip = procedural_clip(size=Size(1, 8, 8), frames=frames)
     return time_methods([TimedRow(method, clip, 1.0) for method in methods], CPU, repeats)
 
 

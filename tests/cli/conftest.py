@@ -9,6 +9,9 @@ import subprocess
 
 import pytest
 
+from tests.cli.runner import rlbench
+from tests.conftest import write_noise
+
 
 @pytest.fixture(autouse=True)
 def _own_logger():
@@ -37,6 +40,31 @@ def small_disk(tmp_path):
         pytest.skip("no file system can be mounted here")
     yield folder
     subprocess.run(["umount", "-l", str(folder)], check=True)  # lazily: files may be open
+
+
+@pytest.fixture(scope="session")
+def kept_run(tmp_path_factory):
+    """A clip and results with images, without times: mean and eaw at 1 and 2 spp."""
+    root = tmp_path_factory.mktemp("kept")
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv("RLBENCH_CACHE", str(root / "cache"))
+        words = ("run", "-m", "mean,eaw", "--clips", write_noise(root / "clips" / "noise"))
+        words += ("--spp", "1,2", "--scores-only", "--keep-images", "--out", root / "r")
+        rlbench(*words)
+    return root
+
+
+@pytest.fixture
+def kept(kept_run, tmp_path):
+    """A copy of the results of `kept_run`, which a test may change."""
+    return shutil.copytree(kept_run / "r", tmp_path / "r")
+
+
+@pytest.fixture
+def bare(kept):
+    """A copy of these results without images."""
+    shutil.rmtree(kept / "images")
+    return kept
 
 
 @pytest.fixture

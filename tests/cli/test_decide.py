@@ -19,7 +19,7 @@ def folder(tmp_path_factory):
     root = tmp_path_factory.mktemp("decide")
     for scene in ("city", "temple"):
         write_noise(root / "clips" / scene, scene)
-    words = ("--clips", root / "clips", "--out", root / "r", "--spp", "1,2")
+    words = ("--clips", root / "clips", "--out", root / "r", "--spp", "1,2", "--repeats", 1)
     rlbench("run", "-m", "mean,svgf", "--cost", "paper-2080ti", *words)
     return root / "r"
 

@@ -11,7 +11,6 @@ from typing import NamedTuple
 
 import pytest
 
-from rlbench.benchmark.cost import CostError, profile
 from tests.cli.runner import ENVIRONMENT, rlbench
 from tests.clips.importers.sources import write_oidn
 from tests.conftest import write_noise, write_plugin
@@ -53,9 +52,6 @@ def run(*words: object) -> Callable[[Path], Words]:
 
 
 TABLE = {
-    "a method with a typo": Mistake(
-        run("-m", "uors"), r"error: 'uors' is not a method\. Did you mean 'ours'\?$"
-    ),
     "more spp than a preset stores": Mistake(
         run("-m", "mean", "--spp", 16),
         "clips of preset 'mini' store 8 samples per pixel.* or trace more with --pool live",
@@ -123,10 +119,3 @@ def test_a_file_that_shadows_a_package_is_named(tmp_path, package, kind):
     advice = "run from another folder, or rename that file"
     assert f"`{package}` is shadowed by {file}: {advice}" in process.stdout
     assert process.returncode == 1
-
-
-def test_a_cost_file_with_one_missing_key_names_it_alone(tmp_path):
-    text = 'title = "t"\nsource = "s"\ndevice = "d"\nheight = 8\nwidth = 8\ndefault_ms = 1.0\n'
-    (tmp_path / "mine.toml").write_text(text)
-    with pytest.raises(CostError, match=r"cannot be read: missing: scene_ms\. docs/how-to/"):
-        profile(str(tmp_path / "mine.toml"))

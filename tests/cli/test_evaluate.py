@@ -10,17 +10,15 @@ from tests.conftest import write_noise
 
 
 @pytest.fixture
-def kept(clip_folder, tmp_path):
-    words = ("--clips", clip_folder, "--spp", 1, "--repeats", 2, "--out", tmp_path / "r")
-    rlbench("run", "-m", "mean,eaw", "--keep-images", *words)
-    return tmp_path / "r"
+def clip_folder(kept_run):
+    return kept_run / "clips"
 
 
 def test_images_are_scored_under_conventions_and_reported(kept, clip_folder, tmp_path):
     conventions = ("--metrics", "psnr,relmse", "--convention", "srgb,hable", "--clips", clip_folder)
     output = rlbench("evaluate", kept, *conventions)
-    assert "psnr, psnr@hable, relmse: 6 scored, 0 already in the results" in output
-    assert "0 scored, 6 already" in rlbench("evaluate", kept, *conventions)
+    assert "psnr, psnr@hable, relmse: 12 scored, 0 already in the results" in output
+    assert "0 scored, 12 already" in rlbench("evaluate", kept, *conventions)
     assert set(table.read(kept / "evaluated")["metric"]) == {"psnr", "psnr@hable", "relmse"}
     rlbench("report", "summary", "--results", kept / "evaluated", "--out", tmp_path / "report")
     assert "### psnr@hable [dB]" in (tmp_path / "report" / "summary.md").read_text()

@@ -47,7 +47,18 @@ def clips(tmp_path):
 def run(clips, methods, *words, code=1) -> str:
     folder = clips.parent / "results"
     return rlbench(
-        "run", "-m", methods, "--clips", clips, "--spp", 1, "--out", folder, *words, code=code
+        "run",
+        "-m",
+        methods,
+        "--clips",
+        clips,
+        "--spp",
+        1,
+        "--scores-only",
+        "--out",
+        folder,
+        *words,
+        code=code,
     )
 
 
@@ -107,9 +118,9 @@ def test_a_file_that_is_restored_is_measured_by_the_next_run(clips):
     file = write_noise(clips / "worn") / "view.0001.exr"
     content = file.read_bytes()
     damage(file, "missing")
-    run(clips, "svgf", "--scores-only")
+    run(clips, "svgf")
     file.write_bytes(content)
-    output = run(clips, "svgf", "--scores-only", code=0)
+    output = run(clips, "svgf", code=0)
     assert "1 cells measured, 1 already in the results" in output
     assert scored(clips) == {("svgf", "whole"), ("svgf", "worn")}
     assert notes(clips) == {}
@@ -126,7 +137,7 @@ BROKEN = {  # the whole plugin file -> the reason in its rows
 def test_a_plugin_file_that_cannot_be_imported_costs_its_own_cells(clips, tmp_path, source, reason):
     (tmp_path / "gone.py").write_text(source)
     broken = "gone/B1"
-    output = run(clips, f"{broken},mean", "--plugin", tmp_path / "gone.py", "--scores-only")
+    output = run(clips, f"{broken},mean", "--plugin", tmp_path / "gone.py")
     said = "gone from --plugin gone.py cannot be imported: "
     assert output.startswith(said + reason.partition(" (")[0])
     assert scored(clips) == {("mean", "whole")}
@@ -145,7 +156,7 @@ def test_an_installed_method_that_cannot_be_imported_costs_its_own_cells(clips, 
 def test_a_method_that_cannot_be_imported_is_measured_once_it_can(clips, tmp_path):
     file = tmp_path / "gone.py"
     file.write_text("1 / 0")
-    words = ("--plugin", file, "--scores-only")
+    words = ("--plugin", file)
     run(clips, "mean,gone", *words)
     write_plugin(file, "gone")
     run(clips, "mean,gone", *words, code=0)

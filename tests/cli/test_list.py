@@ -102,8 +102,10 @@ def test_an_installed_plugin_that_exits_is_listed_as_broken(
     assert message in rlbench("run", "-m", "gone", "--out", tmp_path / "r", code=2)
 
 
-@exits
-@pytest.mark.parametrize("where", ["build", "body"])
+@pytest.mark.parametrize(
+    ("where", "statement", "message"),
+    [(where, *exit_) for where, exit_ in zip(("build", "body"), EXITS.items(), strict=True)],
+)
 def test_a_method_that_exits_fails_its_check(tmp_path, statement, message, where):
     plugin = write_plugin(tmp_path / "exit.py", "exit", **{where: statement})
     output = rlbench("check", "exit", "--plugin", plugin, code=1)

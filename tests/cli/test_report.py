@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import shutil
+
 import pytest
 
 from rlbench import registry
@@ -15,72 +17,64 @@ from tests.conftest import write_noise, write_plugin
 NOT_PRETRAINED = ("ours", "ours/latent-encoder-small", "ours/latent-encoder-large@seed1")
 
 
-def test_reports_are_written_to_the_requested_folder(run_mean, tmp_path):
-    rlbench(*run_mean, "--cost", "paper-2080ti")
-    output = rlbench("report", "all", "--results", tmp_path / "r", "--out", tmp_path / "figures")
+def test_report_all_writes_what_it_can_and_says_why_it_skips_the_rest(run_mean, tmp_path):
+    words = ("--results", tmp_path / "r", "--out", tmp_path / "figures")
+    rlbench(*run_mean, "--spp", "1,2", "--repeats", 1, "--cost", "paper-2080ti")
+    output = rlbench("report", "all", *words)
     assert f"{tmp_path}/figures/pareto.png" in output
     assert (tmp_path / "figures" / "summary.md").stat().st_size > 0
-
-
-def test_report_all_skips_reports_without_rows_and_says_why(run_mean, tmp_path):
-    words = ("--results", tmp_path / "r", "--out", tmp_path / "figures")
-    rlbench(*run_mean, "--cost", "paper-2080ti")
     reason = "no family has scores of its main variant and of another variant"
-    assert f"report ablation is skipped: {reason}" in rlbench("report", "all", *words)
+    assert f"report ablation is skipped: {reason}" in output
     assert "error: cannot write ablation: " in rlbench("report", "ablation", *words, code=2)
 
 
-def test_a_report_of_images_needs_kept_images_and_shows_the_named_rows_in_order(tmp_path):
-    write_noise(tmp_path / "clips" / "city", "city")
-    run = ("run", "-m", "mean,eaw", "--spp", "1", "--scores-only", "--out", tmp_path / "r")
-    words = ("report", "zooms", "--results", tmp_path / "r", "--clips", tmp_path / "clips")
-    rlbench(*run, "--clips", tmp_path / "clips")
-    assert "the results keep no images" in rlbench(*words, code=2)
-    rlbench(*run, "--clips", tmp_path / "clips", "--keep-images")
+def test_a_report_of_images_needs_kept_images_and_shows_the_named_rows_in_order(
+    kept, kept_run, tmp_path
+):
+    words = ("report", "zooms", "--results", kept, "--clips", kept_run / "clips")
     rlbench(*words, "-m", "mean,eaw", "--out", tmp_path / "figures")
     lines = (tmp_path / "figures" / "zooms.csv").read_text().splitlines()
     assert [line.split(",")[8] for line in lines[1:3]] == ["mean", "eaw"]
     assert "no images at 4 spp" in rlbench(*words, "--spp", "4", code=2)
+    shutil.rmtree(kept / "images")
+    assert "the results keep no images" in rlbench(*words, code=2)
 
 
-def test_an_unknown_report_names_the_nearest_one(run_mean, tmp_path):
-    rlbench(*run_mean)
-    output = rlbench("report", "zoom", "--results", tmp_path / "r", code=2)
-    assert "Did you mean 'zooms'?" in output
+def test_an_unknown_report_names_the_nearest_one(bare):
+    assert "Did you mean 'zooms'?" in rlbench("report", "zoom", "--results", bare, code=2)
 
 
-@pytest.mark.parametrize("report", ["summary", "pareto"])
-def test_scenes_of_one_cost_profile_are_reported_together(tmp_path, report):
+def test_scenes_of_one_cost_profile_are_reported_together(tmp_path):
     for scene in ("city", "temple", "foyer"):
         write_noise(tmp_path / "clips" / scene, scene)
     words = ("--clips", tmp_path / "clips", "--out", tmp_path / "r", "--cost", "paper-2080ti")
-    rlbench("run", "-m", "mean", "--spp", "1,2", *words)
-    rlbench("report", report, "--results", tmp_path / "r", "--out", tmp_path / "figures")
+    rlbench("run", "-m", "mean", "--spp", "1,2", "--repeats", 1, *words)
+    for report in ("summary", "pareto"):
+        rlbench("report", report, "--results", tmp_path / "r", "--out", tmp_path / "figures")
 
 
-def test_report_all_writes_the_others_where_one_fails(run_mean, tmp_path):
-    rlbench(*run_mean)
-    words = ("--results", tmp_path / "r", "--out", tmp_path / "figures")
+def test_report_all_writes_the_others_where_one_fails(bare, tmp_path):
+    words = ("--results", bare, "--out", tmp_path / "figures")
     output = rlbench("report", "all", *words, code=2)
     assert "error: cannot write" in output
     assert "no method has all of psnr, plan_ms" in output
     assert (tmp_path / "figures" / "summary.md").stat().st_size > 0
 
 
-def test_a_method_without_rows_is_an_error_of_report(run_mean, tmp_path):
-    rlbench(*run_mean, "--spp", 1)
-    words = ("report", "summary", "--results", tmp_path / "r")
+def test_a_method_without_rows_is_an_error_of_report(bare):
+    words = ("report", "summary", "--results", bare)
     for missing in ("svgf", "mean@sede1"):
         output = rlbench(*words, "-m", f"mean,{missing}", code=2)
-        assert f"has no rows of {missing}; available: mean" in output
-    assert not (tmp_path / "r" / "report").exists()
+        assert f"has no rows of {missing}; available: eaw, mean" in output
+    assert not (bare / "report").exists()
     rlbench(*words, "-m", "all,mean")  # a pattern selects the rows that exist
-    assert (tmp_path / "r" / "report" / "summary.md").is_file()  # beside its table
+    assert (bare / "report" / "summary.md").is_file()  # beside its table
 
 
 def test_rows_of_a_plugin_can_be_reported_without_it(clip_folder, tmp_path):
     plugin, out = write_plugin(tmp_path / "grey.py", "grey"), tmp_path / "r"
-    rlbench("run", "-m", "grey,mean", "--plugin", plugin, "--clips", clip_folder, "--out", out)
+    words = ("--clips", clip_folder, "--spp", 1, "--scores-only", "--out", out)
+    rlbench("run", "-m", "grey,mean", "--plugin", plugin, *words)
     registry.clear_plugins()
     words = ("report", "summary", "--results", out, "--out", tmp_path / "figures")
     rlbench(*words, "-m", "grey")
@@ -93,10 +87,9 @@ def test_a_report_without_results_is_an_error(tmp_path):
     assert "error: no results in" in rlbench("report", "--results", tmp_path, code=2)
 
 
-def test_results_one_level_down_are_named(run_mean, tmp_path):
-    rlbench(*run_mean)
-    output = rlbench("report", "summary", "--results", tmp_path, code=2)
-    assert f"did you mean {tmp_path / 'r'}?" in output
+def test_results_one_level_down_are_named(bare):
+    output = rlbench("report", "summary", "--results", bare.parent, code=2)
+    assert f"did you mean {bare}?" in output
 
 
 def test_a_pattern_selects_rows_of_variants_without_shipped_weights(tmp_path):
@@ -109,13 +102,11 @@ def test_a_pattern_selects_rows_of_variants_without_shipped_weights(tmp_path):
         select_methods(rows, ["svgf/*"], tmp_path)
 
 
-def test_a_report_is_compared_with_the_results_of_another_preset(run_mean, tmp_path):
-    rlbench(*run_mean)
-    words = ("report", "real", "--results", tmp_path / "r", "--out", tmp_path / "figures")
+def test_a_report_is_compared_with_the_results_of_another_preset(bare, tmp_path):
+    words = ("report", "real", "--results", bare, "--out", tmp_path / "figures")
     assert "name results to compare with by --against" in rlbench(*words, code=2)
-    rlbench(*words, "--against", tmp_path / "r")
+    rlbench(*words, "--against", bare)
     assert "| psnr, " in (tmp_path / "figures" / "real.md").read_text()
-    twice = f"{tmp_path / 'r'},{tmp_path / 'r'}"
-    assert "another folder has preset" in rlbench(*words, "--against", twice, code=2)
-    words = ("report", "summary", "--results", tmp_path / "r", "--against", tmp_path / "r")
+    assert "another folder has preset" in rlbench(*words, "--against", f"{bare},{bare}", code=2)
+    words = ("report", "summary", "--results", bare, "--against", bare)
     assert "report 'summary' compares no presets" in rlbench(*words, code=2)

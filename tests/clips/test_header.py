@@ -23,7 +23,7 @@ from tests.render.small_scenes import room
 def _edit(folder: Path, old: str, new: str) -> None:
     text = (folder / "clip.toml").read_text("utf-8")
     assert old in text
-    (folder / "clip.toml").write_text(text.replace(old, new), "utf-8")
+    (folder / "clip.toml").write_text(text.replace(old, new, 1), "utf-8")
 
 
 # Round trip
@@ -31,6 +31,7 @@ def _edit(folder: Path, old: str, new: str) -> None:
 
 def test_a_header_comes_back(tmp_path):
     header = replace(HEADER, licence='CC0 "1.0"\n\\ ü 🙂', sample_ms=12.5, static=True, fps=1e-5)
+    header = replace(header, light_changes=(1,))
     write_header(tmp_path, header)
     assert read_header(tmp_path) == header
 
@@ -48,22 +49,11 @@ def test_cuts_come_back(tmp_path):
     assert read_header(tmp_path).cuts == (1,)
 
 
-def test_light_changes_come_back(tmp_path):
-    write_header(tmp_path, replace(HEADER, light_changes=(1,), static=True))
-    assert read_header(tmp_path).light_changes == (1,)
-
-
 @pytest.mark.parametrize("files", [(), ("models/chair.obj", "wood.png")])
 def test_missing_files_come_back_and_are_written_only_if_there_are_any(tmp_path, files):
     write_header(tmp_path, replace(HEADER, missing_files=files))
     assert read_header(tmp_path).missing_files == files
     assert ("missing_files" in (tmp_path / "clip.toml").read_text()) == bool(files)
-
-
-@pytest.mark.parametrize("frame", [0, FRAMES])
-def test_a_light_change_at_frame_0_or_beyond_the_end_is_an_error(frame):
-    with pytest.raises(ClipError, match="light_changes are .*; expected frames from 1 to 1"):
-        replace(HEADER, light_changes=(frame,))
 
 
 def test_an_unknown_sample_time_is_nan(folder):
@@ -84,33 +74,23 @@ def test_an_integer_is_read_as_a_float_where_the_field_is_one(folder):
 
 
 @pytest.mark.parametrize(
-    "wrong", [{"cuts": (0,)}, {"cuts": (FRAMES,)}, {"cuts": (1,), "static": True}]
+    ("wrong", "message"),
+    [
+        ({"cuts": (0,)}, "cuts"),
+        ({"cuts": (FRAMES,)}, "cuts"),
+        ({"cuts": (1,), "static": True}, "static"),
+        ({"light_changes": (0,)}, "light_changes"),
+        ({"light_changes": (FRAMES,)}, "light_changes"),
+        ({"height": 30_000, "width": 30_000}, "900000000 pixels"),
+        ({"buffers": ("depth", "depth")}, "depth twice"),
+        ({"pools": ("path", "path")}, "path twice"),
+        ({"limitations": ("colour",)}, "colour; .* has: halves"),
+        ({"buffers": ("depth", "colour")}, "colour; .* has: albedo"),
+    ],
 )
-def test_a_cut_at_frame_0_or_beyond_the_end_or_in_a_static_clip_is_an_error(wrong):
-    with pytest.raises(ClipError, match="expected frames from 1 to 1, and none in a static clip"):
+def test_a_contradiction_is_an_error(wrong, message):
+    with pytest.raises(ClipError, match=message):
         replace(HEADER, **wrong)
-
-
-def test_an_image_of_too_many_pixels_is_an_error():
-    with pytest.raises(ClipError, match="height x width is 900000000 pixels, expected at most"):
-        replace(HEADER, height=30_000, width=30_000)
-
-
-@pytest.mark.parametrize("key", ["buffers", "pools"])
-def test_a_word_that_is_listed_twice_is_an_error(key):
-    word = getattr(HEADER, key)[0]
-    with pytest.raises(ClipError, match=f"{key} lists {word} twice"):
-        replace(HEADER, **{key: (word, word)})
-
-
-def test_an_unknown_limitation_is_an_error():
-    with pytest.raises(ClipError, match=r"limitations lists colour; .* has: halves, independence"):
-        replace(HEADER, limitations=("colour",))
-
-
-def test_an_unknown_buffer_is_an_error():
-    with pytest.raises(ClipError, match=r"buffers lists colour; .* has: albedo, normal"):
-        replace(HEADER, buffers=("depth", "colour"))
 
 
 def test_a_contradiction_in_clip_toml_is_reported_as_it_is_from_python(folder):
@@ -127,7 +107,6 @@ OUT_OF_RANGE = [
     ("exposure = 0.5", "exposure = nan", "exposure is nan, expected 1e-12"),
     ("sample_ms = nan", "sample_ms = -1.0", "sample_ms is -1.0, expected 0 to .*, or nan"),
     ("fps = 24.0", "fps = nan", "fps is nan, expected 1e-06 to 1000000"),
-    ("fps = 24.0", "fps = inf", "fps is inf"),
     ("pool_spp = 4", "pool_spp = 2147483648", "pool_spp is 2147483648, expected 1 to 1024"),
     ("seed = 0", "seed = -1", "seed is -1, expected 0 to"),
     ("height = 5", "height = 1000000", "height is 1000000, expected 1 to 65536"),
@@ -145,9 +124,7 @@ OUT_OF_RANGE = [
 
 @pytest.mark.parametrize(("old", "new", "message"), OUT_OF_RANGE)
 def test_a_value_out_of_range_is_refused_with_what_is_allowed(folder, old, new, message):
-    text = (folder / "clip.toml").read_text("utf-8")
-    assert old in text, text
-    (folder / "clip.toml").write_text(text.replace(old, new, 1), "utf-8")
+    _edit(folder, old, new)
     with pytest.raises(ClipError, match=message):
         read_header(folder)
 

@@ -32,26 +32,14 @@ def decoded_files() -> set[str]:
 # Round trip
 
 
-@pytest.mark.parametrize(
-    ("buffer", "precision"),
-    [
-        ("albedo", np.float16),
-        ("normal", np.float16),
-        ("depth", np.float32),
-        ("motion", np.float32),
-    ],
-)
-def test_a_view_buffer_comes_back_at_its_precision(folder, buffer, precision):
-    stored = open_clip(folder).frame(1).gbuffer.buffers[buffer][0].permute(1, 2, 0).numpy()
-    np.testing.assert_array_equal(stored, content(1)[buffer].astype(precision).astype(np.float32))
-
-
-@pytest.mark.parametrize("half", ["a", "b"])
-def test_a_reference_comes_back_as_exposed_floats(folder, half):
-    stored = (
-        getattr(open_clip(folder).frame(0).reference, f"half_{half}")[0].permute(1, 2, 0).numpy()
-    )
-    np.testing.assert_array_equal(stored, content(0)[half].astype(np.float32) * np.float32(0.5))
+def test_view_buffers_come_back_at_their_precision_and_references_as_exposed_floats(folder):
+    frame, written = open_clip(folder).frame(1), content(1)
+    halves = {"a": frame.reference.half_a, "b": frame.reference.half_b}
+    for name, image in (frame.gbuffer.buffers | halves).items():
+        precision = np.float16 if name in ("albedo", "normal") else np.float32
+        expected = written[name].astype(precision).astype(np.float32)
+        expected *= np.float32(0.5 if name in halves else 1)
+        np.testing.assert_array_equal(image[0].permute(1, 2, 0).numpy(), expected)
 
 
 def test_the_pool_comes_back_as_exposed_halves_in_some_order(folder):
@@ -89,10 +77,6 @@ def test_a_window_is_the_same_pixels_of_the_frame(folder):
     rows, columns = slice(1, 4), slice(2, 7)
     window, frame = clip.frame(1, (rows, columns)), clip.frame(1)
     assert torch.equal(window.pool.radiance, frame.pool.radiance[..., rows, columns])
-
-
-def test_frames_come_in_order(folder):
-    assert [frame.index for frame in open_clip(folder)] == [0, 1]
 
 
 def test_the_second_reading_equals_the_first(folder):
@@ -269,11 +253,6 @@ def test_a_broken_clip_is_reported_with_a_remedy(folder, kind):
     break_it(folder)
     with pytest.raises(ClipError, match=message):
         [frame.reference.mean for frame in open_clip(folder)]
-
-
-@pytest.mark.parametrize("kind", BROKEN)
-def test_verify_finds_what_reading_finds(folder, kind):
-    BROKEN[kind][0](folder)
     assert verify(folder) != []
 
 
@@ -284,10 +263,6 @@ def test_verify_lists_every_broken_file(folder):
         "view.0000.exr",
         "referenceA.0001.exr",
     ]
-
-
-def test_verify_finds_nothing_in_a_valid_clip(folder):
-    assert verify(folder) == []
 
 
 def test_a_mistyped_folder_is_reported_with_the_clips_beside_it(folder):

@@ -16,7 +16,9 @@ from tests.procedural_folder import write_world
 SIDE, FRAMES = 48, 4
 
 
-def run_with_images(folder: Path, methods: Sequence[str], spp: Sequence[float], cut: int) -> None:
+def run_with_images(
+    folder: Path, methods: Sequence[str], spp: Sequence[float], cut: int, **options: object
+) -> None:
     """Write `clips`, two of them with a cut at frame `cut`, and `results` with images."""
     with pytest.MonkeyPatch.context() as patch:
         patch.setenv("RLBENCH_CACHE", str(folder / "cache"))
@@ -26,5 +28,5 @@ def run_with_images(folder: Path, methods: Sequence[str], spp: Sequence[float], 
             write_header(clip, header)
         rlbench.run(
             list(methods), spp=list(spp), clips=[folder / "clips"], keep_images=True,
-            out=folder / "results",
+            out=folder / "results", **options,
         )  # fmt: skip

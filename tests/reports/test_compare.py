@@ -117,7 +117,7 @@ def runs_of(seed, runs=5, scenes=4):
     return np.random.default_rng(seed).integers(0, 8, (runs, scenes)).astype(float)  # with ties
 
 
-@pytest.mark.parametrize("seed", range(5))
+@pytest.mark.parametrize("seed", range(2))
 def test_robust_aggregates_are_those_of_slow_twins(seed):
     """The middle half of all scores, the mean of Mann-Whitney statistics, a count."""
     first, second = runs_of(seed), runs_of(seed + 100, runs=3)

@@ -44,7 +44,7 @@ def error(previous: Tensor, current: Tensor, motion: Tensor) -> float:
     return float((reprojected - current).abs()[valid.expand_as(current)].median())
 
 
-@pytest.mark.parametrize("index", range(8))  # sequences, transformed in up to eight ways
+@pytest.mark.parametrize("index", range(3))  # sequences, each transformed in its way
 def test_a_crop_stays_in_place_and_moves_as_its_motion(world, index):
     previous, current = (
         Batches([world], batch=1, crop=40, sequence_length=2, seed=0).sequence(index).frames
@@ -64,20 +64,18 @@ def test_sequences_are_transformed_in_many_ways(world):
     assert len(ways) >= 5  # of the eight that there are; fewer in one of 10,000 sets of 16
 
 
-@pytest.mark.parametrize("index", range(3))
-def test_samples_and_references_of_all_frames_have_one_exposure(world, index):
-    gains = []
-    for frame, source in zip(uncropped(world, index), open_clip(world), strict=True):
-        drawn = (frame.pool.radiance, frame.reference.half_a, frame.reference.half_b)
-        stored = (source.pool.radiance, source.reference.half_a, source.reference.half_b)
-        gains += [float(a.sum() / b.sum()) for a, b in zip(drawn, stored, strict=True)]
-    assert gains == pytest.approx([gains[0]] * 6, rel=1e-4)  # sums in float32
-    assert 2**-0.5 <= gains[0] <= 2**0.5
-
-
-def test_exposures_differ_between_sequences(world):
-    sums = {float(uncropped(world, index).frames[0].reference.half_a.sum()) for index in range(4)}
-    assert len(sums) == 4
+def test_all_frames_of_a_sequence_have_one_exposure_and_sequences_differ(world):
+    exposures = set()
+    for index in range(3):
+        gains = []
+        for frame, source in zip(uncropped(world, index), open_clip(world), strict=True):
+            drawn = (frame.pool.radiance, frame.reference.half_a, frame.reference.half_b)
+            stored = (source.pool.radiance, source.reference.half_a, source.reference.half_b)
+            gains += [float(a.sum() / b.sum()) for a, b in zip(drawn, stored, strict=True)]
+        assert gains == pytest.approx([gains[0]] * 6, rel=1e-4)  # sums in float32
+        assert 2**-0.5 <= gains[0] <= 2**0.5
+        exposures.add(gains[0])
+    assert len(exposures) == 3
 
 
 def test_each_sequence_has_the_same_samples_in_another_order(world):

@@ -242,7 +242,9 @@ def test_a_paused_queue_makes_no_progress_until_it_continues(campaign):
     wait_until(lambda: campaign.frames() > before)
 
 
-@pytest.mark.parametrize("number", [signal.SIGKILL, signal.SIGTERM])
+@pytest.mark.parametrize(
+    "number", [signal.SIGKILL, pytest.param(signal.SIGTERM, marks=pytest.mark.slow)]
+)
 def test_a_killed_queue_leaves_no_process_and_resumes(campaign, number):
     queue.set_paused(campaign.out, True)  # stopped processes end too
     campaign.process.send_signal(number)

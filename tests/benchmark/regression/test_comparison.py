@@ -52,16 +52,17 @@ def verdicts(report):
 def test_a_result_may_fall_by_the_tolerance_and_no_more(psnr, verdict, passed):
     report = compare(to_dataframe(rows(psnr)), baseline())
     assert (report.diffs[0].verdict, report.has_passed) == (verdict, passed)
+    assert compare(to_dataframe(rows(29.8)), baseline(tolerance_db=0.2)).has_passed  # its own
 
 
-def test_an_entry_may_have_a_tolerance_of_its_own():
-    assert compare(to_dataframe(rows(29.8)), baseline(tolerance_db=0.2)).has_passed
-
-
-def test_a_missing_entry_fails():
+def test_a_missing_entry_fails_and_a_new_result_does_not():
     report = compare(to_dataframe(rows(30.0, scene="hall")), baseline())
     assert verdicts(report) == {("ours", "city", 2.0): "missing", ("ours", "hall", 2.0): "new"}
     assert not report.has_passed
+    assert compare(to_dataframe(rows(30.0) + rows(12.0, method="ntas")), baseline()).has_passed
+    infinite = compare(to_dataframe(rows(30.0)).assign(value=math.inf), baseline())
+    assert verdicts(infinite) == {("ours", "city", 2.0): "missing"}
+    assert not infinite.has_passed
 
 
 def test_a_missing_entry_of_a_subset_is_skipped():
@@ -98,13 +99,6 @@ def test_a_result_without_value_is_missing_even_in_a_subset():
     hole = replace(rows(30.0)[0], value=math.nan, note="out of memory")
     report = compare(to_dataframe([*rows(30.0), hole]), baseline(), subset=True)
     assert not report.has_passed
-
-
-def test_a_new_result_does_not_fail():
-    table = to_dataframe(rows(30.0) + rows(12.0, method="ntas"))
-    report = compare(table, baseline())
-    assert verdicts(report)["ntas", "city", 2.0] == "new"
-    assert report.has_passed
 
 
 def test_the_text_says_what_fell_by_how_much_and_what_was_allowed():
@@ -168,13 +162,6 @@ def test_only_a_speed_that_is_slower_beyond_doubt_fails(verdict, passed):
     assert f"1 same, speed {verdict}" in report.summary
 
 
-def test_an_infinite_result_is_missing():
-    table = to_dataframe(rows(30.0))
-    report = compare(table.assign(value=math.inf), baseline())
-    assert verdicts(report) == {("ours", "city", 2.0): "missing"}
-    assert not report.has_passed
-
-
 def test_an_entry_twice_is_refused():
     twice = replace(baseline(), entries=baseline().entries * 2)
     with pytest.raises(BaselineError, match="two entries"):
@@ -222,9 +209,7 @@ def test_a_gate_names_two_rows_and_a_ratio(text, gate):
     [
         ("ours/oidn", "is no gate. Write A/B<=1.3"),
         ("ours/oidn<=0", "is no gate"),
-        ("ours/oidn<=nan", "is no gate"),
         ("ours/maen<=1", "no two installed methods"),
-        ("ours<=1", "no two installed methods"),
         ("ours@seed1/ours<=1", "no two installed methods"),
         ("mean@tiles/mean<=1", "no two installed methods"),
     ],
@@ -240,7 +225,6 @@ def test_what_is_no_gate_is_refused(text, message):
         (timing(1.29), timing(1.0), "within"),
         (timing(1.31), timing(1.0), "slower"),
         (timing(1.31, 0.02), timing(1.0), "not resolved"),
-        (timing(1.31), timing(1.0, 0.02), "not resolved"),
         (timing(1.29, 0.02), timing(1.0), "not resolved"),
         (timing(1.4, 0.02), timing(1.0, 0.02), "slower"),
         (timing(1.2, 0.02), timing(1.0, 0.02), "within"),

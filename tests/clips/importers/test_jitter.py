@@ -97,11 +97,10 @@ def test_offsets_are_in_the_header_and_a_jittered_reference_is_a_limitation(arra
         replace(header, jitter=((0.0, 0.0),))
 
 
-@pytest.mark.parametrize("name", ["jittered = true"])
-def test_jittered_images_need_offsets(arrays, tmp_path, name):
+def test_jittered_images_need_offsets(arrays, tmp_path):
     write_falcor(arrays, tmp_path / "dump")
     with pytest.raises(SourceError, match=r"needs \[camera\] jitter"):
-        sequence(tmp_path / "dump", "", name)
+        sequence(tmp_path / "dump", "", "jittered = true")
 
 
 def test_the_jitter_of_a_dump_is_guessed(arrays, tmp_path):

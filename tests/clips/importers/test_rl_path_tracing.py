@@ -37,10 +37,9 @@ def display_bytes(light: np.ndarray) -> np.ndarray:
     return np.rint(255 * curve).astype(np.uint8)
 
 
-@pytest.mark.parametrize("index", range(3))
-def test_samples_have_the_display_values_of_their_png(clip, index):
-    expected = np.stack([display(index + 1, slot) for slot in range(8)])
-    np.testing.assert_array_equal(display_bytes(pool(clip, index)), expected)
+def test_samples_have_the_display_values_of_their_png(clip):
+    expected = np.stack([display(2, slot) for slot in range(8)])
+    np.testing.assert_array_equal(display_bytes(pool(clip, 1)), expected)
 
 
 def test_the_reference_has_the_display_values_of_its_png(clip):
@@ -80,10 +79,9 @@ def test_a_first_frame_without_motion_is_a_limitation(clip):
     assert "first motion" in clip.header.limitations
 
 
-@pytest.mark.parametrize(("buffer", "step"), [("normal", 0), ("albedo", 1), ("depth", 2)])
-def test_a_buffer_is_the_png_value(clip, buffer, step):
-    # half precision
-    np.testing.assert_allclose(stored(clip, 1, buffer), (20 * step + 2) / 255, rtol=5e-4)
+def test_a_buffer_is_the_png_value(clip):
+    for step, buffer in enumerate(("normal", "albedo", "depth")):  # half precision
+        np.testing.assert_allclose(stored(clip, 1, buffer), (20 * step + 2) / 255, rtol=5e-4)
 
 
 def test_the_header_lists_the_limitations_of_the_files(clip):

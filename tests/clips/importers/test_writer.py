@@ -80,27 +80,16 @@ def test_a_message_about_too_few_samples_lists_the_methods_that_can_run(tmp_path
 
 
 def test_the_former_name_of_a_format_is_accepted_and_the_clip_is_valid(tmp_path):
-    rlbench(
-        "import",
-        write_rl_path_tracing(tmp_path / "s"),
-        "--format",
-        "paper",
-        "--out",
-        tmp_path / "out",
-    )
+    source = write_rl_path_tracing(tmp_path / "s")
+    rlbench("import", source, "--format", "paper", "--out", tmp_path / "out")
     assert verify(tmp_path / "out" / "suntemple") == []
-
-
-def test_exposure_is_written_to_the_header(source, tmp_path):
-    words = ("import", source, "--format", "oidn", "--out", tmp_path, "--exposure", 2.5)
-    rlbench(*words)
-    assert read_header(tmp_path / "walk").exposure == 2.5
 
 
 def test_another_exposure_of_a_finished_import_changes_the_header_alone(source, tmp_path):
     words = ("import", source, "--format", "oidn", "--out", tmp_path)
     rlbench(*words, "--exposure", 1)
     before = read_header(tmp_path / "walk")
+    assert before.exposure == 1
     images = {p: p.stat().st_mtime_ns for p in (tmp_path / "walk").glob("*.exr")}
     assert "before, its exposure 1 is replaced, 3 frames" in rlbench(*words, "--exposure", 4)
     assert repr(read_header(tmp_path / "walk")) == repr(replace(before, exposure=4.0))
@@ -142,16 +131,11 @@ def _interrupt_after(source, folder, frames: int) -> None:
     writer.write_clip(sequence, writer.clip_header(sequence, None), folder, interrupt)
 
 
-def test_an_interrupted_import_is_unfinished(source, tmp_path):
+def test_an_interrupted_import_resumes_and_gives_the_same_clip(source, tmp_path):
     with pytest.raises(KeyboardInterrupt):
         _interrupt_after(source, tmp_path / "out" / "walk", 1)
     with pytest.raises(ClipError, match=r"unfinished.*rlbench import"):
         open_clip(tmp_path / "out" / "walk")
-
-
-def test_an_interrupted_import_resumes_and_gives_the_same_clip(source, tmp_path):
-    with pytest.raises(KeyboardInterrupt):
-        _interrupt_after(source, tmp_path / "out" / "walk", 1)
     first = tmp_path / "out" / "walk" / "referenceB.0000.exr"
     before = first.stat().st_mtime_ns
     for out in ("out", "again"):
@@ -194,20 +178,14 @@ def test_fireflies_are_not_clipped(tmp_path):
 # What would not come back, and where nothing is written
 
 
-@pytest.mark.parametrize(
-    ("image", "value", "message"),
-    [
-        ("walk_0001_seed0_0001spp.hdr.exr", 3e38, "times the exposure 2 exceeds float32"),
-        ("walk_0001_ref.hdr.exr", 3e38, "times the exposure 2 exceeds float32"),
-    ],
-)
-def test_radiance_that_could_not_be_read_back_is_not_imported(tmp_path, image, value, message):
+@pytest.mark.parametrize("image", ["seed0_0001spp", "ref"])
+def test_radiance_that_could_not_be_read_back_is_not_imported(tmp_path, image):
     source = write_oidn(tmp_path / "source")
     pixels = radiance(1, 0)
-    pixels[2, 3, 1] = value
-    exr(source / image, pixels)
+    pixels[2, 3, 1] = 3e38
+    exr(source / f"walk_0001_{image}.hdr.exr", pixels)
     words = ("import", source, "--format", "oidn", "--out", tmp_path / "out", "--exposure", 2)
-    assert message in rlbench(*words, code=2)
+    assert "times the exposure 2 exceeds float32" in rlbench(*words, code=2)
     assert not (tmp_path / "out" / "walk" / "view.0001.exr").exists()
 
 
@@ -220,7 +198,7 @@ def test_a_clip_is_not_written_through_a_link(source, tmp_path):
     assert list((tmp_path / "elsewhere").iterdir()) == []
 
 
-@pytest.mark.parametrize("files", [0, 1, 5])
+@pytest.mark.parametrize("files", [0, 5])
 def test_a_full_disk_is_one_line_and_the_import_resumes(source, tmp_path, monkeypatch, files):
     out, remaining = tmp_path / "out", iter(range(files))
 

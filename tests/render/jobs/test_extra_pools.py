@@ -86,11 +86,8 @@ def test_a_clip_rendered_with_both_pools_equals_one_to_which_a_pool_was_added(cl
     assert contents(tmp_path / "both") == contents(clip)
 
 
-def test_samples_of_each_pool_have_a_digest_of_their_own(clip):
+def test_each_pool_has_a_digest_of_its_own_and_a_finished_one_is_not_traced_again(clip):
     assert open_clip(clip, pool="restir").digest != open_clip(clip).digest
-
-
-def test_a_finished_pool_is_not_traced_again(clip):
     assert extra_pools.find_missing_pools([job(clip)]) == []
 
 

@@ -41,7 +41,6 @@ from tests.render.small_scenes import grey, room
 
 H, W = 16, 24
 PRESET = Preset("test", "tests", (H, W), frames=3, reference_spp=2, pool_spp=4)
-SCATTER_PRESET = Preset("test", "tests", (16, 24), 4, 2, pool_spp=4)
 
 
 @dataclass(frozen=True)
@@ -214,34 +213,35 @@ def test_seeds_and_caps_of_other_clips_compile_no_kernel(llvm):
     assert all(kernel["cache_hit"] for kernel in kernels)
 
 
-@pytest.fixture(scope="module")
-def rendered_temple(usable_llvm, tmp_path_factory):
-    with own_cache(tmp_path_factory):
-        scene = registry.load_plugin("scenes", "temple")()
-        return render_scene(tmp_path_factory.mktemp("live") / "temple", scene, "temple")
-
-
 @pytest.fixture
-def temple(llvm, rendered_temple, tmp_path):
-    return shutil.copytree(rendered_temple, tmp_path / "temple")
+def folder(llvm, rendered_room, tmp_path, monkeypatch):
+    """A clip of the installed scene `room`."""
+    list_plugins, load_plugin = registry.list_plugins, registry.load_plugin
+    monkeypatch.setattr(
+        registry, "list_plugins", lambda g: ["room"] if g == "scenes" else list_plugins(g)
+    )
+    monkeypatch.setattr(
+        registry, "load_plugin", lambda g, n: room if g == "scenes" else load_plugin(g, n)
+    )
+    return shutil.copytree(rendered_room, tmp_path / "room")
 
 
-def test_a_clip_knows_its_scene(temple):
-    stored = open_clip(temple)
+def test_a_clip_knows_its_scene(folder):
+    stored = open_clip(folder)
     assert agree(images(open_live_clip(stored), 0.5), images(stored, 0.5))
 
 
-def test_the_benchmark_opens_live_and_stored_clips_under_different_content_keys(temple):
-    live, stored = open_source(temple, "live"), open_source(temple, "stored")
+def test_the_benchmark_opens_live_and_stored_clips_under_different_content_keys(folder):
+    live, stored = open_source(folder, "live"), open_source(folder, "stored")
     device = torch.device("cpu")
     clips = [source.open(Follows().traits, 1.0, 3, device) for source in (live, stored)]
     assert isinstance(clips[0], LiveClip)
     assert agree(images(clips[0], 1.0), images(clips[1], 1.0))
-    assert live.content("path") != stored.content("path") == StoredSource(temple).content("path")
+    assert live.content("path") != stored.content("path") == StoredSource(folder).content("path")
 
 
-def test_a_live_pool_holds_more_samples_than_are_stored_and_the_stored_ones_come_first(temple):
-    stored = open_clip(temple, seed=3)  # 4 samples per pixel
+def test_a_live_pool_holds_more_samples_than_are_stored_and_the_stored_ones_come_first(folder):
+    stored = open_clip(folder, seed=3)  # 4 samples per pixel
     pools = [clip.frame(1).pool for clip in (stored, open_live_clip(stored, 16))]
     few, many = (
         pool.read(pool.empty(), torch.full((1, 1, H, W), count))
@@ -251,16 +251,16 @@ def test_a_live_pool_holds_more_samples_than_are_stored_and_the_stored_ones_come
     assert len({image.numpy().tobytes() for image in many[0]}) == 16
 
 
-def test_more_samples_than_are_stored_are_measured_live(temple, tmp_path):
-    folders = {"clips": [temple], "pool": "live", "out": tmp_path / "r", "scores_only": True}
+def test_more_samples_than_are_stored_are_measured_live(folder, tmp_path):
+    folders = {"clips": [folder], "pool": "live", "out": tmp_path / "r", "scores_only": True}
     rows = rlbench.run(["mean"], spp=[4, 16], **folders)
     mean = rows[rows["metric"] == "psnr"].groupby("target_spp")[["value", "mean_spp"]].mean()
     assert mean["mean_spp"].to_dict() == {4.0: 4.0, 16.0: 16.0}
     assert mean["value"][16.0] > mean["value"][4.0]
 
 
-def test_a_live_pool_leaves_room_for_a_density_that_varies(temple):
-    clip = open_source(temple, "live").open(Follows().traits, 6.0, 0, torch.device("cpu"))
+def test_a_live_pool_leaves_room_for_a_density_that_varies(folder):
+    clip = open_source(folder, "live").open(Follows().traits, 6.0, 0, torch.device("cpu"))
     counts = next(run_clip(Follows(), clip, 6.0)).samples.counts
     assert int(counts.sum()) == 6 * H * W
     assert int(counts.max()) > 6
@@ -273,11 +273,11 @@ def test_the_command_measures_more_samples_live_than_a_preset_stores(llvm, tmp_p
     assert "1 cells measured" in output
 
 
-def test_a_scene_that_has_changed_is_an_error(temple):
-    mark = temple / "scene.txt"
+def test_a_scene_that_has_changed_is_an_error(folder):
+    mark = folder / "scene.txt"
     mark.write_text(mark.read_text().replace(mark.read_text()[:16], "0123456789abcdef"))
     with pytest.raises(ClipError, match="the clip has 0123456789abcdef.*--pool stored"):
-        open_source(temple, "live")
+        open_source(folder, "live")
 
 
 def test_a_clip_of_another_renderer_is_an_error(tmp_path):
@@ -323,19 +323,6 @@ def test_the_factor_is_per_sample_and_of_the_methods_own_counts():
 def test_counts_without_a_sample_have_no_factor():
     with pytest.raises(ValueError, match="at least one sample"):
         scatter_factor(CountingTracer(), torch.zeros(1, 1, 2, 3, dtype=torch.int64))
-
-
-@pytest.fixture
-def folder(llvm, tmp_path, monkeypatch):
-    """A clip of the installed scene `room`."""
-    list_plugins, load_plugin = registry.list_plugins, registry.load_plugin
-    monkeypatch.setattr(
-        registry, "list_plugins", lambda g: ["room"] if g == "scenes" else list_plugins(g)
-    )
-    monkeypatch.setattr(
-        registry, "load_plugin", lambda g, n: room if g == "scenes" else load_plugin(g, n)
-    )
-    return render_clip(Job("room", room(), SCATTER_PRESET, tmp_path / "room")) or tmp_path / "room"
 
 
 def cell(folder, method):

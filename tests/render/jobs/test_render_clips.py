@@ -91,11 +91,8 @@ def test_a_lost_file_is_rendered_again_and_the_others_are_left_alone(clip):
     assert (clip / "view.0000.exr").stat().st_mtime_ns == written_ns
 
 
-def test_a_rendered_clip_passes_verification(clip):
+def test_a_rendered_clip_passes_verification_and_its_header_describes_it(clip):
     assert verify(clip) == []
-
-
-def test_the_header_describes_the_clip(clip):
     header = read_header(clip)
     assert (header.height, header.width, header.frames, header.pool_spp) == (16, 24, 3, 3)
     assert header.reference_spp == (4, 4, 4)
@@ -109,11 +106,8 @@ def test_stored_samples_are_those_of_the_tracer_before_exposure(clip):
     stack = tracer.trace_images(3)
     # sorted, because the clip has its own sample order; half precision has 11 bits
     np.testing.assert_allclose(np.sort(stored, 0), np.sort(stack, 0), rtol=2**-10, atol=1e-6)
-
-
-def test_the_reference_halves_come_from_different_paths(clip):
     reference = open_clip(clip).frame(0).reference
-    assert not (reference.half_a == reference.half_b).all()
+    assert not (reference.half_a == reference.half_b).all()  # of different paths
 
 
 def test_a_static_scene_has_no_motion_buffer(llvm, tmp_path):
@@ -248,14 +242,12 @@ def test_the_estimate_counts_all_takes(llvm, installed, tmp_path, capsys):
     assert "rendering 3 clips of preset test" in capsys.readouterr().err.replace("\n", " ")
 
 
-def test_the_header_records_the_light_changes_of_the_clip(clips):
-    changes = {name: read_header(folder).light_changes for name, folder in clips.items()}
-    assert changes == {"room": (), "room-cut": (3,), "room-still": ()}
-
-
-def test_the_header_records_the_cuts_of_the_clip(clips):
-    cuts = {name: read_header(folder).cuts for name, folder in clips.items()}
-    assert cuts == {"room": (), "room-cut": (2,), "room-still": ()}
+def test_the_header_records_light_changes_cuts_and_that_nothing_moves(clips):
+    headers = {name: read_header(folder) for name, folder in clips.items()}
+    found = {name: (h.light_changes, h.cuts, h.static) for name, h in headers.items()}
+    still = ((), (), True)
+    assert found == {"room": ((), (), False), "room-cut": ((3,), (2,), False), "room-still": still}
+    assert "motion" not in headers["room-still"].buffers
 
 
 def test_motion_leads_every_pixel_outside_at_a_cut_and_only_there(clips):
@@ -274,12 +266,6 @@ def test_between_frames_a_cut_lasts_while_the_previous_frame_shows_the_other_sho
     tracer.set_time(time)
     motion = render_gbuffer(tracer, ("motion",))["motion"]
     assert bool((motion == np.array([-24, -16], np.float32)).all()) is outside
-
-
-def test_a_still_take_has_no_motion_buffer(clips):
-    header = read_header(clips["room-still"])
-    assert header.static
-    assert "motion" not in header.buffers
 
 
 def test_a_switched_light_changes_radiance_and_not_the_gbuffer(clips):

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
+from itertools import product
 
 import numpy as np
 import pandas as pd
@@ -58,14 +59,13 @@ def test_other_units_have_no_ties_and_a_low_error_leads():
     assert describe_difference(gap, "dB", "lower") == "leads by 0.20 dB [0.10, 0.30]"
 
 
-@pytest.mark.parametrize("mean", [0.0, 0.02, 0.05, 0.09, 0.3])
-@pytest.mark.parametrize("deviation", [0.01, 0.05, 0.1, 0.4])
-def test_a_tie_is_what_two_one_sided_t_tests_at_2_5_percent_find(mean, deviation):
-    units = mean + deviation * np.array([-1.2, -0.4, 0.5, 1.1, 0.0])
-    smaller = stats.ttest_1samp(units, -0.1, alternative="greater").pvalue
-    larger = stats.ttest_1samp(units, 0.1, alternative="less").pvalue
-    is_tie = name_verdict(interval_of(units), "dB") == "tie"
-    assert is_tie == (max(smaller, larger) <= 0.025)
+def test_a_tie_is_what_two_one_sided_t_tests_at_2_5_percent_find():
+    for mean, deviation in product((0.0, 0.02, 0.05, 0.09, 0.3), (0.01, 0.05, 0.1, 0.4)):
+        units = mean + deviation * np.array([-1.2, -0.4, 0.5, 1.1, 0.0])
+        smaller = stats.ttest_1samp(units, -0.1, alternative="greater").pvalue
+        larger = stats.ttest_1samp(units, 0.1, alternative="less").pvalue
+        is_tie = name_verdict(interval_of(units), "dB") == "tie"
+        assert is_tie == (max(smaller, larger) <= 0.025)
 
 
 def reject_step_down(p_values, level):
@@ -79,7 +79,7 @@ def reject_step_down(p_values, level):
     return rejected
 
 
-@pytest.mark.parametrize("seed", range(20))
+@pytest.mark.parametrize("seed", range(5))
 def test_adjusted_values_reject_what_the_step_down_procedure_rejects(seed):
     generator = np.random.default_rng(seed)
     p_values = (generator.uniform(size=generator.integers(1, 12)) ** 3).round(3).tolist()

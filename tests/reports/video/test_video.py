@@ -244,8 +244,8 @@ def test_a_webp_repeats_for_ever_at_the_rate_of_the_style(clip, tmp_path):
 
 
 def test_an_mp4_plays_for_four_seconds_unless_repeats_are_named(clip, tmp_path):
-    assert len(decode(clip, tmp_path, "mp4", VideoStyle(fps=4))) == 16
-    assert len(decode(clip, tmp_path, "mp4", VideoStyle(fps=4, repeat=2))) == 8
+    assert len(decode(clip, tmp_path, "mp4", replace(PLAIN, fps=4, zoom=1))) == 16
+    assert len(decode(clip, tmp_path, "mp4", replace(PLAIN, fps=4, zoom=1, repeat=2))) == 8
 
 
 def test_labels_are_above_the_images_and_leave_them_as_they_are(clip, tmp_path):
