@@ -154,7 +154,7 @@ CLAIMS: dict[str, Callable[[], None]] = {
     "4 spp": check_other_rules_tie,
     "At 0.5 spp `ours` leads `accumulate/contrast` by 2.06 dB": check_contrast_below_one_spp,
     "on a first frame it is behind `oidn/tuned` from 1 spp on": check_first_frame,
-    "is best in most of the map, wherever the deadline leaves 40 ms beside 3.5 spp": (
+    "is best in most of the map, wherever the deadline exceeds the time of 3.5 spp by 40 ms": (
         check_where_a1_wins
     ),
     "Nowhere is its lead over the runner-up, which has a density by rule, resolved": (

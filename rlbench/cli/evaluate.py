@@ -46,7 +46,7 @@ def evaluate(
         Path | None, folder("results folder to write to; default: RESULTS/evaluated")
     ] = None,
 ) -> None:
-    """Score kept images again, without running a method.
+    """Score stored images again, without running a method.
 
     The clips must be those that the images show. Rows have the format of a run, so reports read
     them: rlbench report --results RESULTS/evaluated. Scores that are there already stay. The exit

@@ -66,7 +66,7 @@ def score(
     preset: options.Preset = "mini",
     takes: options.Takes = None,
 ) -> None:
-    """Score images made elsewhere, as rows beside those of a run.
+    """Score images made elsewhere, and add them as rows.
 
     One image a frame, at the size of the clip, numbered in its names: EXR or PFM with the linear
     radiance of the clip's files (rlbench export writes what a denoiser reads), or PNG, 8-bit sRGB

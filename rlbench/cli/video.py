@@ -82,7 +82,7 @@ def video(
     ] = None,
     quality: Annotated[int, option(OUTPUT, "of WebP", min=0, max=100)] = 90,
 ) -> None:
-    """Write videos of kept images, one for each clip and budget.
+    """Write videos of stored images, one for each clip and budget.
 
     Images are those of `rlbench run --keep-images`, in clipped sRGB.
 

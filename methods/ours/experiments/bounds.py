@@ -127,6 +127,15 @@ def summarize(bounds: Sequence[Bound]) -> pd.DataFrame:
     return table.pivot_table(index="part", columns="spp", values="gain").loc[order]
 
 
+def print_gains(title: str, table: pd.DataFrame) -> None:
+    """Print a table of gains in dB, a column for each budget, as Markdown."""
+    console = Console()
+    console.print(f"| {title} | " + " | ".join(f"{spp:g} spp" for spp in table.columns) + " |")
+    console.print("| --- |" + " ---: |" * len(table.columns))
+    for name, row in table.iterrows():
+        console.print(f"| {name} | " + " | ".join(f"{gain:+.2f}" for gain in row) + " |")
+
+
 def _parts(method: Accumulate) -> Mapping[str, Any]:
     return {field.name: getattr(method, field.name) for field in fields(Accumulate)}
 
@@ -178,12 +187,7 @@ def main() -> None:
     bounds = [bound for cell in track(cells, "measuring") for bound in measure_clip(*cell)]
     if arguments.out:
         pd.DataFrame(bounds).to_csv(arguments.out, index=False)
-    table = summarize(bounds)
-    console = Console()
-    console.print("| part | " + " | ".join(f"{spp:g} spp" for spp in table.columns) + " |")
-    console.print("| --- |" + " ---: |" * len(table.columns))
-    for part, row in table.iterrows():
-        console.print(f"| {part} | " + " | ".join(f"{gain:+.2f}" for gain in row) + " |")
+    print_gains("part", summarize(bounds))
 
 
 if __name__ == "__main__":

@@ -1,0 +1,81 @@
+"""How much of the learned density pays: the sampler's action, scaled between the rule and itself.
+
+Command: python -m methods.ours.experiments.correction CLIPS --spp 0.25,0.5,1,2,4
+
+At scale 0 the density is that of the contrast rule, at 1 that of `ours`. Networks are the same.
+"""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from statistics import fmean
+
+import pandas as pd
+from jaxtyping import Float
+from rich.progress import track
+from torch import Tensor
+
+from methods.ours.experiments.bounds import print_gains
+from methods.ours.history import RecurrentState
+from methods.ours.method import Ours
+from rlbench import registry
+from rlbench.clips.stored import open_clip
+from rlbench.frames import GBuffer, Samples
+from rlbench.run import run_clip
+from rlbench.wrappers import MethodWrapper
+
+PROGRAM = "python -m methods.ours.experiments.correction"
+SCALES = (0.0, 0.25, 0.5, 1.0)
+
+
+@dataclass(frozen=True)
+class ScaledAction(MethodWrapper[Ours]):
+    """`ours`, whose sampler's action is multiplied by `scale`."""
+
+    scale: float = 1.0
+
+    def plan(
+        self, gbuffer: GBuffer, samples: Samples, state: RecurrentState
+    ) -> Float[Tensor, "n 1 h w"]:
+        """The density of the scaled action."""
+        action = self.scale * self.method.act(gbuffer, state)
+        return self.method.to_density(action, gbuffer, state)
+
+
+def measure_clip(folder: Path, spp: float, scales: Sequence[float]) -> Iterator[dict[str, object]]:
+    """PSNR in dB at each scale, the mean over the frames of a clip."""
+    method, psnr = registry.load_method("ours", "cpu"), registry.load_plugin("metrics", "psnr")
+    assert isinstance(method, Ours)
+    clip = open_clip(folder, method.traits.inputs, pool=method.traits.pool)
+    for scale in scales:
+        scores = []
+        for result in run_clip(ScaledAction(method, scale), clip, spp):
+            reference = result.frame.reference
+            compared = psnr.compare(result.image, reference.half_a, reference.half_b)
+            scores += psnr.score(compared).tolist()
+        yield {"clip": clip.name, "spp": spp, "scale": scale, "psnr": fmean(scores)}
+
+
+def main() -> None:
+    """Run the command line."""
+    parser = argparse.ArgumentParser(
+        prog=PROGRAM,
+        description="PSNR of `ours` over the contrast rule, in dB, by scale of its correction.",
+    )
+    parser.add_argument("clips", type=Path, nargs="+", help="folders of clips")
+    parser.add_argument("--spp", default="1", help="samples per pixel, a,b (default: 1)")
+    arguments = parser.parse_args()
+    if missing := [str(f) for f in arguments.clips if not (f / "clip.toml").is_file()]:
+        parser.error(f"no clip in {', '.join(missing)}: a folder with a clip.toml is needed")
+    budgets = [float(spp) for spp in arguments.spp.split(",")]
+    cells = [(folder, spp) for folder in arguments.clips for spp in budgets]
+    rows = [row for cell in track(cells, "measuring") for row in measure_clip(*cell, SCALES)]
+    table = pd.DataFrame(rows).pivot_table(index="scale", columns="spp", values="psnr")
+    print_gains("scale", table - table.loc[0.0])
+
+
+if __name__ == "__main__":
+    main()
