@@ -48,11 +48,11 @@ def view(
         str, option(CLIPS, "layer of EXR images that have several, as Blender's", value="NAME")
     ] = "",
 ) -> None:
-    """Write one page to look at the results, or at image files; it needs no network.
+    """Write one page to look at results or image files.
 
-    Decide, compare images in place, their layers, their course in time, and a table. Images are
-    those of `rlbench run --keep-images`; without them the page has decision and table. Of image
-    files the page shows the images and their differences.
+    The page needs no network: decide, compare images in place, their layers, their course in time,
+    and a table. Images are those of `rlbench run --keep-images`; without them it has decision and
+    table. Of image files it shows the images and their differences.
 
     Examples:
 

@@ -125,7 +125,7 @@ class TrainState:
             self._backward(loss)
             self._clip_gradients(loss, count)
             self._step()
-            self.ema.update_parameters(self.networks)
+            self._update_ema()
             total, count = total + loss.detach(), count + 1
         return total.item() / max(count, 1)
 
@@ -214,6 +214,9 @@ class TrainState:
                 away = torch._foreach_sub(starts, weights)
                 torch._foreach_mul_(away, masks)
                 torch._foreach_add_(weights, away, alpha=pull)
+
+    def _update_ema(self) -> None:
+        self.ema.update_parameters(self.networks)
 
     def _nonfinite_layers(self) -> list[str]:
         return [
