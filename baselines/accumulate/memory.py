@@ -112,6 +112,15 @@ def accumulate_frame(
     return accumulate(history.radiance, current, trust), history
 
 
+def accumulate_samples(
+    samples: Samples, history: History
+) -> tuple[AccumulatedRadiance, AccumulatedRadiance, History]:
+    """This frame's radiance without fireflies, and the result of `accumulate_frame` with it."""
+    radiance = limit_fireflies(samples.radiance, samples.counts)
+    current = frame_radiance(radiance, samples.counts)
+    return current, *accumulate_frame(history, current, samples.slot_spp)
+
+
 def share_by_spp(slot_spp: float) -> float:
     """The factor on the weight of history in frames of more samples than methods are trained on.
 
@@ -149,9 +158,7 @@ def weigh_history(
     `history` is `memory` at the pixels of this frame. The new memory holds the samples and surfaces
     of this frame, but the last frame's image, which `with_image` replaces.
     """
-    radiance = limit_fireflies(samples.radiance, samples.counts)
-    current = frame_radiance(radiance, samples.counts)
-    accumulated, history = accumulate_frame(history, current, samples.slot_spp)
+    _, accumulated, history = accumulate_samples(samples, history)
     surface = surface_features(gbuffer.normal, gbuffer.albedo, gbuffer.depth)
     filled = fill_holes(accumulated, gbuffer.albedo)
     memory = replace(memory, radiance=filled, surface=surface, age=memory.age + 1)

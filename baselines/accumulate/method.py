@@ -15,7 +15,7 @@ from baselines.accumulate.density import DENSITY_RULES, mix_with_uniform
 from baselines.accumulate.memory import (
     History,
     Memory,
-    accumulate_frame,
+    accumulate_samples,
     empty_memory,
     reproject_memory,
     share_by_spp,
@@ -27,11 +27,9 @@ from rlbench.frames import GBuffer, Samples, Size
 from rlbench.ops.accumulation import (
     AccumulatedRadiance,
     fill_holes,
-    frame_radiance,
     surface_features,
 )
 from rlbench.ops.exposure import autoexposure
-from rlbench.ops.fireflies import limit_fireflies
 from rlbench.ops.reprojection import ReprojectionMemo
 from rlbench.ops.transfer import log_forward, log_inverse
 from rlbench.ops.unet import UNet
@@ -95,10 +93,8 @@ class Accumulate:
         self, gbuffer: GBuffer, samples: Samples, state: Memory
     ) -> tuple[Float[Tensor, "n 3 h w"], Memory]:
         """The image in linear radiance, and the memory of it."""
-        radiance = limit_fireflies(samples.radiance, samples.counts)
-        current = frame_radiance(radiance, samples.counts)
         history = self.memo.get(gbuffer, state, reproject_memory)
-        accumulated, history = accumulate_frame(history, current, samples.slot_spp)
+        _, accumulated, history = accumulate_samples(samples, history)
         accumulated = fill_holes(accumulated, gbuffer.albedo)
         denoised = log_forward(self._run_network(gbuffer, accumulated))
         weight = self.blend_weight(denoised, history) * share_by_spp(samples.slot_spp)

@@ -25,17 +25,15 @@ from baselines.oidn.method import (
     to_signed_radiance,
     widen,
 )
-from baselines.oidn.train import FINE_TUNING_MAX_LR
+from baselines.oidn.train import frame_losses, recurrent_task
 from rlbench.family import Traits
 from rlbench.frames import Clip, GBuffer, Samples, Size
 from rlbench.ops.density import bounded_exp_density
 from rlbench.ops.exposure import autoexposure
 from rlbench.ops.fireflies import mean_without_fireflies, repair_radiance_history
-from rlbench.ops.losses import log_loss, log_transfer_loss
 from rlbench.ops.reprojection import reproject
 from rlbench.ops.transfer import pu_forward
 from rlbench.ops.unet import UNet
-from rlbench.run import unroll
 from rlbench.training import BUDGETS_FROM_1_SPP, SurrogateGradient, TrainingTask
 from rlbench.weights import load_for_inference
 
@@ -144,16 +142,6 @@ def training_task(traits: Traits, device: torch.device) -> TrainingTask:
     method = EqualStart(networks.to(device), traits, decode=to_signed_radiance)
 
     def losses(clip: Clip, spp: float) -> Iterator[Tensor]:
-        for result in unroll(SurrogateGradient(method, iter(clip), spp), clip, spp):
-            yield log_loss(log_transfer_loss(result.image, result.frame.reference.mean))
+        return frame_losses(SurrogateGradient(method, iter(clip), spp), clip, spp)
 
-    return TrainingTask(
-        method,
-        networks,
-        losses,
-        BUDGETS_FROM_1_SPP,
-        FINE_TUNING_MAX_LR,
-        LR_MULTIPLIERS,
-        origin=origin,
-        pretrained=("",),
-    )
+    return recurrent_task(method, networks, losses, origin, BUDGETS_FROM_1_SPP, LR_MULTIPLIERS)

@@ -2,21 +2,24 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
-from dataclasses import replace
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass, replace
 
 import torch
-from torch import Tensor
+from jaxtyping import Float
+from torch import Tensor, nn
 
 from baselines.oidn.method import INPUT_CHANNELS, VARIANTS, Oidn, published_network
 from rlbench.clips.in_memory import InMemoryClip
-from rlbench.frames import Clip
+from rlbench.frames import Clip, GBuffer, Samples
+from rlbench.method import Method, State
 from rlbench.ops.exposure import autoexposure
-from rlbench.ops.losses import UNIFORM_WEIGHTS, l1_ms_ssim_loss, log_loss
+from rlbench.ops.losses import UNIFORM_WEIGHTS, l1_ms_ssim_loss, log_loss, log_transfer_loss
 from rlbench.ops.transfer import pu_forward
 from rlbench.ops.unet import UNet
 from rlbench.run import unroll
-from rlbench.training.task import BUDGETS_FROM_1_SPP, TrainingTask
+from rlbench.training.task import BUDGETS_FROM_0_05_SPP, BUDGETS_FROM_1_SPP, TrainingTask
+from rlbench.wrappers import MethodWrapper
 
 MAX_LR = 1e-3
 FINE_TUNING_MAX_LR = 4e-5  # for training that starts from Intel's weights
@@ -47,6 +50,42 @@ def fine_tuning_task(method: Oidn) -> TrainingTask:
     intel, origin = published_network(method.network.widths)
     method.network.load_state_dict(intel.state_dict())
     return replace(_task(method, FINE_TUNING_MAX_LR, log_loss), origin=origin, pretrained=("",))
+
+
+@dataclass(frozen=True)
+class DetachedState(MethodWrapper[Method]):
+    """A method with a state that no gradient passes: each frame is a step of its own.
+
+    The state has a method `detach`.
+    """
+
+    def denoise(
+        self, gbuffer: GBuffer, samples: Samples, state: State
+    ) -> tuple[Float[Tensor, "n 3 h w"], State]:
+        """The image, and a state without a graph."""
+        image, state = super().denoise(gbuffer, samples, state)
+        return image, state.detach()
+
+
+def frame_losses(method: Method, clip: Clip, spp: float) -> Iterator[Tensor]:
+    """The loss of each frame of a clip, as that of `ours`."""
+    for result in unroll(method, clip, spp):
+        yield log_loss(log_transfer_loss(result.image, result.frame.reference.mean))
+
+
+def recurrent_task(
+    method: Method,
+    networks: nn.Module,
+    losses: Callable[[Clip, float], Iterator[Tensor]],
+    origin: str,
+    spp: tuple[float, ...] = BUDGETS_FROM_0_05_SPP,
+    lr_multipliers: Mapping[str, float] | None = None,
+) -> TrainingTask:
+    """Fine-tuning of networks that start from Intel's weights, at the learning rate of `ours`."""
+    rates = lr_multipliers or {}
+    return TrainingTask(
+        method, networks, losses, spp, FINE_TUNING_MAX_LR, rates, origin=origin, pretrained=("",)
+    )
 
 
 def _task(

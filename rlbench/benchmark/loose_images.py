@@ -90,10 +90,10 @@ def read_gallery(
         if count := int((~np.isfinite(image).all(axis=0)).sum()):
             remarks.append(f"{name}: pixels that are NaN or infinite, shown in magenta: {count}")
         on_image()
-    found = {file.suffix.lower() for file in files}
-    if len(found) > 1 and ".png" in found:
+    suffixes = {file.suffix.lower() for file in files}
+    if len(suffixes) > 1 and ".png" in suffixes:
         remarks.append(
-            f"files of two kinds: {'; '.join(ENCODINGS[each] for each in sorted(found))}"
+            f"files of two kinds: {'; '.join(ENCODINGS[each] for each in sorted(suffixes))}"
         )
     _, height, width = images[0].shape
     none = np.zeros((0, 3, height, width), np.float32)

@@ -143,7 +143,7 @@ def _print_status(status: Sequence[RowStatus], at_once: int) -> None:
         table.add_row(
             row.training.name,
             f"{row.state} for {', '.join(row.waits_for)}" if row.waits_for else row.state,
-            f"{row.run.frames_seen} of {row.run.frames or row.training.frames}",
+            f"{row.run.frames_seen} of {row.frames}",
             f"{row.run.speed:.2f}" if row.run.speed else "",
             "" if left is None else format_duration(left),
             ", ".join(f"{name} {psnr:.2f}" for name, psnr in row.run.validation.items()),
@@ -170,8 +170,6 @@ def _estimate_seconds(status: Sequence[RowStatus], at_once: int) -> float | None
     if not speeds or not left:
         return None
     seconds = [
-        max((row.run.frames or row.training.frames) - row.run.frames_seen, 0)
-        / (row.run.speed or fmean(speeds))
-        for row in left
+        max(row.frames - row.run.frames_seen, 0) / (row.run.speed or fmean(speeds)) for row in left
     ]
     return max(sum(seconds) / min(at_once, len(left)), *seconds)

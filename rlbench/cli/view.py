@@ -77,12 +77,11 @@ def view(
         from reports.analysis.rows import charge_gbuffer
 
         rows = charge_gbuffer(read_rows(results, methods, scenes), gbuffer_ms)
-        found, reason = find_images(results, rows, clips, spp)
+        clips_to_show, reason = find_images(results, rows, clips, spp)
         remarks = [f"the page has decision and table alone: {reason}"] if reason else []
         traits = {name: describe_traits(name) for name in sorted(set(rows["method"]))}
-        found_clips = list(found)
         remarks += reports.viewer.write(
-            rows, target, found_clips, traits, remarks, int(max_mb * 1e6)
+            rows, target, list(clips_to_show), traits, remarks, int(max_mb * 1e6)
         )
     typer.echo(target)
     for remark in remarks:
@@ -94,7 +93,7 @@ def view(
 def _image_files(context: typer.Context, results: Path, others: list[Path]) -> list[Path]:
     """The image files among the arguments; none for a results folder.
 
-    Raises OptionError for folders beside other arguments, and for options of results with images.
+    Raises OptionError for folders among several arguments, and for options of results with images.
     """
     from rlbench.benchmark.loose_images import ENCODINGS
 

@@ -14,8 +14,9 @@ __all__ = ["ONE_SHARE", "hash_to_integer", "round_to_total"]
 SHARE_BITS = 32
 ONE_SHARE = 2**SHARE_BITS  # a share of one sample, as an integer
 FRACTION = ONE_SHARE - 1  # mask of a share's fractional part
-_graphs: dict[tuple[torch.Size, torch.device], _Graph] = {}  # by size, on GPUs
 THRESHOLD_BITS = 30  # threshold times fraction must stay below 2^63
+
+_graphs: dict[tuple[torch.Size, torch.device], _Graph] = {}  # by size, on GPUs
 
 
 def round_to_total(

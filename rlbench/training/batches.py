@@ -14,7 +14,6 @@ from functools import cached_property
 from pathlib import Path
 
 import torch
-from jaxtyping import Float
 from torch import Tensor
 
 from rlbench.clips.in_memory import InMemoryClip
@@ -202,8 +201,7 @@ class ResidentClip:
     """A clip whose frames lie in the memory of a device, sanitised once."""
 
     stored: StoredClip
-    samples: Float[Tensor, "frames slots 3 h w"]  # all that are stored, exposed
-    frame: Frame  # its batch is the frames of the clip; one sample each
+    frame: Frame  # its batch is the frames of the clip, with all samples in stored order
     seed: int = 0  # of the sample order and of rounding
 
     @classmethod
@@ -212,14 +210,13 @@ class ResidentClip:
         everything = replace(clip, max_samples=clip.header.pool_spp)
         frame = _cut(everything, range(len(clip)), (slice(None), slice(None)))
         assert isinstance(frame.pool, StoredPool)
-        slots = torch.empty_like(frame.pool.radiance)  # in stored order
+        samples = torch.empty_like(frame.pool.radiance)
         for index in range(len(clip)):
             order, _ = sample_order(clip.seed, clip.name, index, clip.header.pool_spp)
-            slots[index, order] = frame.pool.radiance[index]
-        valid = sanitize_frame(frame, clip.inputs)
-        pool = StoredPool(frame.pool.radiance[:, :1], frame.pool.rounding_seeds)
-        frame = replace(frame, gbuffer=valid.gbuffer, pool=pool, is_sanitized=True)
-        return cls(clip, sanitize_radiance(slots), frame)
+            samples[index, order] = frame.pool.radiance[index]
+        gbuffer = sanitize_frame(frame, clip.inputs).gbuffer
+        pool = StoredPool(sanitize_radiance(samples), frame.pool.rounding_seeds)
+        return cls(clip, replace(frame, gbuffer=gbuffer, pool=pool, is_sanitized=True))
 
     def __len__(self) -> int:
         """Number of frames."""
@@ -237,12 +234,13 @@ class ResidentClip:
 
     def cut(self, indices: range, window: tuple[slice, slice]) -> Frame:
         """A window of some frames, which are its batch; images are views of those in memory."""
-        slots, most = self.samples.shape[1], self.stored.max_samples
-        orders = [sample_order(self.seed, self.name, index, slots) for index in indices]
-        order = torch.tensor([slots[:most] for slots, _ in orders], device=self.samples.device)
+        assert isinstance(self.frame.pool, StoredPool)
+        samples, most = self.frame.pool.radiance, self.stored.max_samples
+        orders = [sample_order(self.seed, self.name, index, samples.shape[1]) for index in indices]
+        order = torch.tensor([slots[:most] for slots, _ in orders], device=samples.device)
         frames = slice(indices.start, indices.stop)
-        samples = self.samples[frames, :, :, *window]
         rows = torch.arange(len(indices), device=order.device)[:, None]
+        drawn = samples[frames, :, :, *window][rows, order]
         gbuffer, reference = self.frame.gbuffer, self.frame.reference
         buffers = {k: v[frames, :, *window] for k, v in gbuffer.buffers.items()}
         halves = [half[frames, :, *window] for half in (reference.half_a, reference.half_b)]
@@ -250,7 +248,7 @@ class ResidentClip:
             self.frame,
             index=indices.start,
             gbuffer=GBuffer(buffers, gbuffer.static),
-            pool=StoredPool(samples[rows, order], tuple(seed for _, seed in orders)),
+            pool=StoredPool(drawn, tuple(seed for _, seed in orders)),
             reference=Reference(*halves),
         )
 

@@ -114,8 +114,8 @@ def train(
             progress.seconds = time.monotonic() - began
             progress.frames_per_second = _count_frames(clip) / max(time.monotonic() - started, 1e-9)
             log.log_sequence(progress, loss, learning_rate)
-            now = progress.frames_seen // config.eval_interval
-            if progress.fraction_done >= 1 or now > intervals:
+            is_due = progress.frames_seen // config.eval_interval > intervals
+            if is_due or progress.fraction_done >= 1:
                 log.log_validation(progress, loss, _validate(state, progress, sets))
                 checkpoint.write(out / CHECKPOINT, state.state_dict(), asdict(progress))
                 next_status = 0.0

@@ -120,6 +120,11 @@ class RowStatus:
     message: str = ""  # why it failed
     waits_for: tuple[str, ...] = ()  # trainings that come first
 
+    @property
+    def frames(self) -> int:
+        """Crops at its end: as its run says, or as planned before that has begun."""
+        return self.run.frames or self.training.frames
+
 
 def read_queue(file: Path, known: Sequence[str]) -> QueueFile:
     """Read a queue file; `known` are the options that an entry may have, with underscores.

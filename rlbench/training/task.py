@@ -75,13 +75,8 @@ BUDGETS_FROM_0_05_SPP = (0.05, 0.25, 0.5, *BUDGETS_FROM_1_SPP)  # for methods th
 WARM_UP_FRACTION = 0.15  # of the frames, in which the learning rate rises
 START_FACTOR, END_FACTOR = 1 / 25, 1e-4  # first and last learning rate, relative to the peak
 
-OPTIONAL = (
-    "spp",
-    "mix",
-    "keep",
-    "anchor",
-    "anneal",
-)  # fields that are stored only where they are chosen
+# fields that are stored only where they are chosen
+OPTIONAL = ("spp", "mix", "keep", "anchor", "anneal")
 
 
 class TrainingError(RlbenchError, RuntimeError):

@@ -64,6 +64,15 @@ class ValidationResult(NamedTuple):
         return fmean(score.psnr for score in self.sets.values()) if self.sets else 0.0
 
 
+class Anchors(NamedTuple):
+    """Weights that stay near their start."""
+
+    group: int  # number in the optimiser's `param_groups`, which give the learning rate
+    weights: list[Tensor]
+    starts: tuple[Tensor, ...]
+    masks: tuple[Tensor, ...]  # 0 for values that start at exactly 0, which are free; else 1
+
+
 class TrainState:
     """The networks of a training task with their optimiser and exponential moving average (EMA).
 
@@ -94,7 +103,7 @@ class TrainState:
         self._modules = {"the networks": self.networks}  # gradients are clipped for each
         if task.auxiliary_network is not None:
             self._modules["the auxiliary network"] = task.auxiliary_network
-        self._anchors = _first_values(task) if config.anchor else {}
+        self._anchors = self._find_anchors() if config.anchor else []
 
     @property
     def ema_networks(self) -> nn.Module:
@@ -204,16 +213,21 @@ class TrainState:
 
     def _step(self) -> None:
         self.optimizer.step()
-        for group in self.optimizer.param_groups if self._anchors else ():
-            weights = [weight for weight in group["params"] if weight in self._anchors]
-            if not weights:
-                continue
-            starts, masks = zip(*(self._anchors[weight] for weight in weights), strict=True)
-            pull = 1 - 1 / (1 + group["lr"] * self.config.anchor)
+        for number, weights, starts, masks in self._anchors:
+            rate = self.optimizer.param_groups[number]["lr"]
             with torch.no_grad():
-                away = torch._foreach_sub(starts, weights)
-                torch._foreach_mul_(away, masks)
-                torch._foreach_add_(weights, away, alpha=pull)
+                back = torch._foreach_sub(starts, weights)
+                torch._foreach_mul_(back, masks)
+                torch._foreach_add_(weights, back, alpha=1 - 1 / (1 + rate * self.config.anchor))
+
+    def _find_anchors(self) -> list[Anchors]:
+        """The weights of each group of the optimiser that others trained before."""
+        first, anchors = _first_values(self.task), []
+        for number, group in enumerate(self.optimizer.param_groups):
+            if weights := [weight for weight in group["params"] if weight in first]:
+                starts, masks = zip(*(first[weight] for weight in weights), strict=True)
+                anchors.append(Anchors(number, weights, starts, masks))
+        return anchors
 
     def _update_ema(self) -> None:
         self.ema.update_parameters(self.networks)

@@ -43,9 +43,9 @@ def small_disk(tmp_path):
 
 
 @pytest.fixture(scope="session")
-def kept_run(tmp_path_factory):
+def image_run(tmp_path_factory):
     """A clip and results with images, without times: mean and eaw at 1 and 2 spp."""
-    root = tmp_path_factory.mktemp("kept")
+    root = tmp_path_factory.mktemp("images")
     with pytest.MonkeyPatch.context() as patch:
         patch.setenv("RLBENCH_CACHE", str(root / "cache"))
         words = ("run", "-m", "mean,eaw", "--clips", write_noise(root / "clips" / "noise"))
@@ -55,16 +55,16 @@ def kept_run(tmp_path_factory):
 
 
 @pytest.fixture
-def kept(kept_run, tmp_path):
-    """A copy of the results of `kept_run`, which a test may change."""
-    return shutil.copytree(kept_run / "r", tmp_path / "r")
+def image_results(image_run, tmp_path):
+    """A copy of the results of `image_run`, which a test may change."""
+    return shutil.copytree(image_run / "r", tmp_path / "r")
 
 
 @pytest.fixture
-def bare(kept):
+def plain_results(image_results):
     """A copy of these results without images."""
-    shutil.rmtree(kept / "images")
-    return kept
+    shutil.rmtree(image_results / "images")
+    return image_results
 
 
 @pytest.fixture

@@ -29,19 +29,19 @@ def test_report_all_writes_what_it_can_and_says_why_it_skips_the_rest(run_mean, 
 
 
 def test_a_report_of_images_needs_kept_images_and_shows_the_named_rows_in_order(
-    kept, kept_run, tmp_path
+    image_results, image_run, tmp_path
 ):
-    words = ("report", "zooms", "--results", kept, "--clips", kept_run / "clips")
+    words = ("report", "zooms", "--results", image_results, "--clips", image_run / "clips")
     rlbench(*words, "-m", "mean,eaw", "--out", tmp_path / "figures")
     lines = (tmp_path / "figures" / "zooms.csv").read_text().splitlines()
     assert [line.split(",")[8] for line in lines[1:3]] == ["mean", "eaw"]
     assert "no images at 4 spp" in rlbench(*words, "--spp", "4", code=2)
-    shutil.rmtree(kept / "images")
+    shutil.rmtree(image_results / "images")
     assert "the results keep no images" in rlbench(*words, code=2)
 
 
-def test_an_unknown_report_names_the_nearest_one(bare):
-    assert "Did you mean 'zooms'?" in rlbench("report", "zoom", "--results", bare, code=2)
+def test_an_unknown_report_names_the_nearest_one(plain_results):
+    assert "Did you mean 'zooms'?" in rlbench("report", "zoom", "--results", plain_results, code=2)
 
 
 def test_scenes_of_one_cost_profile_are_reported_together(tmp_path):
@@ -53,22 +53,22 @@ def test_scenes_of_one_cost_profile_are_reported_together(tmp_path):
         rlbench("report", report, "--results", tmp_path / "r", "--out", tmp_path / "figures")
 
 
-def test_report_all_writes_the_others_where_one_fails(bare, tmp_path):
-    words = ("--results", bare, "--out", tmp_path / "figures")
+def test_report_all_writes_the_others_where_one_fails(plain_results, tmp_path):
+    words = ("--results", plain_results, "--out", tmp_path / "figures")
     output = rlbench("report", "all", *words, code=2)
     assert "error: cannot write" in output
     assert "no method has all of psnr, plan_ms" in output
     assert (tmp_path / "figures" / "summary.md").stat().st_size > 0
 
 
-def test_a_method_without_rows_is_an_error_of_report(bare):
-    words = ("report", "summary", "--results", bare)
+def test_a_method_without_rows_is_an_error_of_report(plain_results):
+    words = ("report", "summary", "--results", plain_results)
     for missing in ("svgf", "mean@sede1"):
         output = rlbench(*words, "-m", f"mean,{missing}", code=2)
         assert f"has no rows of {missing}; available: eaw, mean" in output
-    assert not (bare / "report").exists()
+    assert not (plain_results / "report").exists()
     rlbench(*words, "-m", "all,mean")  # a pattern selects the rows that exist
-    assert (bare / "report" / "summary.md").is_file()  # beside its table
+    assert (plain_results / "report" / "summary.md").is_file()  # beside its table
 
 
 def test_rows_of_a_plugin_can_be_reported_without_it(clip_folder, tmp_path):
@@ -87,9 +87,9 @@ def test_a_report_without_results_is_an_error(tmp_path):
     assert "error: no results in" in rlbench("report", "--results", tmp_path, code=2)
 
 
-def test_results_one_level_down_are_named(bare):
-    output = rlbench("report", "summary", "--results", bare.parent, code=2)
-    assert f"did you mean {bare}?" in output
+def test_results_one_level_down_are_named(plain_results):
+    output = rlbench("report", "summary", "--results", plain_results.parent, code=2)
+    assert f"did you mean {plain_results}?" in output
 
 
 def test_a_pattern_selects_rows_of_variants_without_shipped_weights(tmp_path):
@@ -102,11 +102,13 @@ def test_a_pattern_selects_rows_of_variants_without_shipped_weights(tmp_path):
         select_methods(rows, ["svgf/*"], tmp_path)
 
 
-def test_a_report_is_compared_with_the_results_of_another_preset(bare, tmp_path):
-    words = ("report", "real", "--results", bare, "--out", tmp_path / "figures")
+def test_a_report_is_compared_with_the_results_of_another_preset(plain_results, tmp_path):
+    words = ("report", "real", "--results", plain_results, "--out", tmp_path / "figures")
     assert "name results to compare with by --against" in rlbench(*words, code=2)
-    rlbench(*words, "--against", bare)
+    rlbench(*words, "--against", plain_results)
     assert "| psnr, " in (tmp_path / "figures" / "real.md").read_text()
-    assert "another folder has preset" in rlbench(*words, "--against", f"{bare},{bare}", code=2)
-    words = ("report", "summary", "--results", bare, "--against", bare)
+    assert "another folder has preset" in rlbench(
+        *words, "--against", f"{plain_results},{plain_results}", code=2
+    )
+    words = ("report", "summary", "--results", plain_results, "--against", plain_results)
     assert "report 'summary' compares no presets" in rlbench(*words, code=2)

@@ -237,5 +237,5 @@ def test_broken_values_of_clips_in_memory_are_repaired_once(tmp_path):
     slots = [array for index in range(2) for array in clip.arrays.pool("path", index, range(8))]
     slots[3][:, 5, 7] = torch.inf  # a map of the file in memory; the file stays
     resident = ResidentClip.load(clip)
-    assert resident.samples.max() <= 65504
+    assert resident.frame.pool.radiance.max() <= 65504
     assert len(resident) == 2

@@ -28,13 +28,13 @@ from typing import Any, NamedTuple
 import pandas as pd
 import torch
 from jaxtyping import Float
-from rich.console import Console
 from rich.progress import track
 from torch import Tensor
 
 from baselines.accumulate.density import mix_with_uniform
 from baselines.accumulate.memory import History, Memory
 from baselines.accumulate.method import Accumulate
+from methods.ours.experiments.command import add_clips, print_gains, read_cells
 from rlbench import registry
 from rlbench.clips.stored import StoredClip, open_clip
 from rlbench.frames import GBuffer, Samples
@@ -127,15 +127,6 @@ def summarize(bounds: Sequence[Bound]) -> pd.DataFrame:
     return table.pivot_table(index="part", columns="spp", values="gain").loc[order]
 
 
-def print_gains(title: str, table: pd.DataFrame) -> None:
-    """Print a table of gains in dB, a column for each budget, as Markdown."""
-    console = Console()
-    console.print(f"| {title} | " + " | ".join(f"{spp:g} spp" for spp in table.columns) + " |")
-    console.print("| --- |" + " ---: |" * len(table.columns))
-    for name, row in table.iterrows():
-        console.print(f"| {name} | " + " | ".join(f"{gain:+.2f}" for gain in row) + " |")
-
-
 def _parts(method: Accumulate) -> Mapping[str, Any]:
     return {field.name: getattr(method, field.name) for field in fields(Accumulate)}
 
@@ -176,14 +167,10 @@ def main() -> None:
         description="Gains in dB over accumulate/contrast where one part knows the truth.",
         epilog=f"example:\n  {PROGRAM} ~/.cache/rlbench/clips/development/* --spp 0.5,1,4",
     )
-    parser.add_argument("clips", type=Path, nargs="+", help="folders of clips")
-    parser.add_argument("--spp", default="1", help="samples per pixel, a,b (default: 1)")
+    add_clips(parser)
     parser.add_argument("--out", type=Path, help="CSV file for the gains of every clip")
     arguments = parser.parse_args()
-    if missing := [str(f) for f in arguments.clips if not (f / "clip.toml").is_file()]:
-        parser.error(f"no clip in {', '.join(missing)}: a folder with a clip.toml is needed")
-    budgets = [float(spp) for spp in arguments.spp.split(",")]
-    cells = [(folder, spp) for folder in arguments.clips for spp in budgets]
+    cells = read_cells(parser, arguments)
     bounds = [bound for cell in track(cells, "measuring") for bound in measure_clip(*cell)]
     if arguments.out:
         pd.DataFrame(bounds).to_csv(arguments.out, index=False)

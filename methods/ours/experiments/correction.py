@@ -18,7 +18,7 @@ from jaxtyping import Float
 from rich.progress import track
 from torch import Tensor
 
-from methods.ours.experiments.bounds import print_gains
+from methods.ours.experiments.command import add_clips, print_gains, read_cells
 from methods.ours.history import RecurrentState
 from methods.ours.method import Ours
 from rlbench import registry
@@ -65,13 +65,8 @@ def main() -> None:
         prog=PROGRAM,
         description="PSNR of `ours` over the contrast rule, in dB, by scale of its correction.",
     )
-    parser.add_argument("clips", type=Path, nargs="+", help="folders of clips")
-    parser.add_argument("--spp", default="1", help="samples per pixel, a,b (default: 1)")
-    arguments = parser.parse_args()
-    if missing := [str(f) for f in arguments.clips if not (f / "clip.toml").is_file()]:
-        parser.error(f"no clip in {', '.join(missing)}: a folder with a clip.toml is needed")
-    budgets = [float(spp) for spp in arguments.spp.split(",")]
-    cells = [(folder, spp) for folder in arguments.clips for spp in budgets]
+    add_clips(parser)
+    cells = read_cells(parser, parser.parse_args())
     rows = [row for cell in track(cells, "measuring") for row in measure_clip(*cell, SCALES)]
     table = pd.DataFrame(rows).pivot_table(index="scale", columns="spp", values="psnr")
     print_gains("scale", table - table.loc[0.0])

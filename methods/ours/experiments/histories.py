@@ -10,6 +10,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
+from functools import partial
 from pathlib import Path
 from typing import NamedTuple
 
@@ -22,7 +23,7 @@ from baselines.accumulate.density import contrast, mix_with_uniform
 from baselines.accumulate.memory import (
     History,
     Memory,
-    accumulate_frame,
+    accumulate_samples,
     empty_memory,
     reproject_memory,
     share_by_spp,
@@ -36,31 +37,27 @@ from baselines.oidn.method import (
     to_signed_radiance,
     widen,
 )
-from baselines.oidn.train import FINE_TUNING_MAX_LR
+from baselines.oidn.train import DetachedState, frame_losses, recurrent_task
 from rlbench.family import Family, Traits, Variant
 from rlbench.frames import Clip, GBuffer, Samples, Size
 from rlbench.ops.accumulation import (
     AccumulatedRadiance,
     fill_holes,
-    frame_radiance,
     surface_features,
 )
 from rlbench.ops.exposure import autoexposure
-from rlbench.ops.fireflies import limit_fireflies
 from rlbench.ops.kernels import splat_kernels
-from rlbench.ops.losses import log_loss, log_transfer_loss
 from rlbench.ops.reprojection import ReprojectionMemo, reproject_bicubic
 from rlbench.ops.sanitize import repair_history
 from rlbench.ops.transfer import log_forward, log_inverse, pu_forward
 from rlbench.ops.unet import UNet
-from rlbench.run import unroll
-from rlbench.training.task import BUDGETS_FROM_0_05_SPP, TrainingTask
+from rlbench.training.task import TrainingTask
 from rlbench.weights import load_for_inference
 
 SHORT, LONG = 0.5, 0.95  # largest weights of the old light in a frame
 TAPS = 25  # of the kernel that splats the last image
 CENTRE_LOGIT = 12.0  # of the kernel's middle tap at the start: the image stays where it is
-KERNEL_GAIN = 10.0  # of the kernel's logits, since weights learn slowly beside so large a bias
+KERNEL_GAIN = 10.0  # of the kernel's logits, since weights learn slowly next to so large a bias
 MAX_HALF = 6e4  # of what is kept in half precision
 MANY = 4.0  # samples: half of the range of the count that the network sees
 
@@ -69,7 +66,7 @@ MANY = 4.0  # samples: half of the range of the count that the network sees
 class Config:
     """What distinguishes the variants."""
 
-    two: bool = False  # short and long radiance are inputs, beside that of the rule
+    two: bool = False  # short and long radiance are inputs, as that of the rule is
     first: bool = False  # samples behind the history are an input
     splat: bool = False  # the network predicts how the last image is splatted and blended
     through: bool = False  # one loss, and gradients through all frames of a sequence
@@ -99,7 +96,7 @@ VARIANTS = {
 class State:
     """What is carried: at most 64 bytes a pixel.
 
-    The change of the memory is not used and takes no room. Beside two more histories, image, count
+    The change of the memory is not used and takes no room. With two more histories, image, count
     and the root of the second moment are float16.
     """
 
@@ -152,10 +149,8 @@ class Histories:
         self, gbuffer: GBuffer, samples: Samples, state: State
     ) -> tuple[Float[Tensor, "n 3 h w"], State]:
         """The image in linear radiance, and the state after it."""
-        radiance = limit_fireflies(samples.radiance, samples.counts)
-        current = frame_radiance(radiance, samples.counts)
         moved = self.memo.get(gbuffer, state, _reproject)
-        accumulated, history = accumulate_frame(moved.history, current, samples.slot_spp)
+        current, accumulated, history = accumulate_samples(samples, moved.history)
         accumulated = fill_holes(accumulated, gbuffer.albedo)
         exposure = autoexposure(accumulated.mean.detach())
         more: list[Tensor] = []
@@ -217,9 +212,9 @@ def _blend_recent(
     short, long, behind = recent.split_with_sizes([3, 3, 1], 1)
     behind = behind.clamp_min(0) * history.similarity
     share = behind / (behind + spp).clamp_min(1e-6)
-    kept = (behind > 0).to(new.dtype)  # of a pixel without a sample
+    all_old = (behind > 0).to(new.dtype)  # of a pixel without a sample
     blended = [
-        torch.lerp(new, old, share.clamp_max(most).where(spp > 0, kept))
+        torch.lerp(new, old, share.clamp_max(most).where(spp > 0, all_old))
         for old, most in ((short, SHORT), (long, LONG))
     ]
     return torch.cat((*blended, behind + spp), 1)
@@ -249,39 +244,12 @@ def training_task(variant: str, device: torch.device, seed: int) -> TrainingTask
             bias[3 + TAPS // 2] = CENTRE_LOGIT / KERNEL_GAIN
             bias[3 + TAPS] = math.log(BLEND / (1 - BLEND))
     method = Histories(config, network.to(device), decode=to_signed_radiance)
-    stepped = method if config.through else _Detached(**vars(method))
 
-    def losses(clip: Clip, spp: float) -> Iterator[Tensor]:
-        frames = (
-            log_loss(log_transfer_loss(result.image, result.frame.reference.mean))
-            for result in unroll(stepped, clip, spp)
-        )
-        if config.through:
-            yield torch.stack(list(frames)).mean()
-        else:
-            yield from frames
+    def through(clip: Clip, spp: float) -> Iterator[Tensor]:
+        yield torch.stack(list(frame_losses(method, clip, spp))).mean()
 
-    return TrainingTask(
-        replace(method),
-        network,
-        losses,
-        BUDGETS_FROM_0_05_SPP,
-        FINE_TUNING_MAX_LR,
-        origin=origin,
-        pretrained=("",),
-    )
-
-
-@dataclass(frozen=True)
-class _Detached(Histories):
-    """The method with a state that no gradient passes: each frame is a step of its own."""
-
-    def denoise(
-        self, gbuffer: GBuffer, samples: Samples, state: State
-    ) -> tuple[Float[Tensor, "n 3 h w"], State]:
-        """The image, and a state without a graph."""
-        image, state = super().denoise(gbuffer, samples, state)
-        return image, state.detach()
+    losses = through if config.through else partial(frame_losses, DetachedState(method))
+    return recurrent_task(method, network, losses, origin)
 
 
 FAMILY = Family(
