@@ -27,9 +27,9 @@ TOLERANCE = 1e-6  # of the sum of all shares
 def average_weights(parts: Sequence[tuple[float, Path]], out: Path, command: str) -> ModelCard:
     """Write the weighted mean of weights files, with a card that names them; returns the card.
 
-    `parts` are shares, which sum to 1, and files. The card has the name of the last file, the clips
-    of all files, and `command`. Raises WeightsError if a file or its card is missing, if names or
-    shapes differ, or if the shares do not sum to 1.
+    `parts` are shares, which sum to 1, and files. The card has the name, curves and time of the
+    last file, the clips and frames of all files, and `command`. Raises WeightsError if a file or
+    its card is missing, if names or shapes differ, or if the shares do not sum to 1.
     """
     if abs(math.fsum(share for share, _ in parts) - 1) > TOLERANCE:
         shares = " + ".join(f"{share:g}" for share, _ in parts)
@@ -45,7 +45,10 @@ def average_weights(parts: Sequence[tuple[float, Path]], out: Path, command: str
         )
         for name in files[0]
     }
-    names = [f"{share:g} of {card.name}" for (share, _), card in zip(parts, cards, strict=True)]
+    names = [
+        f"{share:g} of {card.name}" + (f" ({card.command})" if card.command else "")
+        for (share, _), card in zip(parts, cards, strict=True)
+    ]
     card = replace(
         cards[-1],
         data=tuple(dict.fromkeys(clip for card in cards for clip in card.data)),
@@ -54,7 +57,7 @@ def average_weights(parts: Sequence[tuple[float, Path]], out: Path, command: str
         kept_at=0,
         trend="",
         command=command,
-        note=f"Weighted mean of weights: {', '.join(names)}.",
+        note=f"Weighted mean of weights: {', '.join(names)}. Curves and time are of the last.",
     )
     return save(mean, out, card)
 
