@@ -15,16 +15,27 @@ from reports.analysis.differences import (
 from reports.analysis.intervals import UNKNOWN
 from reports.analysis.scores import Scores, mean_over_scenes
 from reports.layout.page import Section, write_report
-from reports.layout.tables import Bold, Table, format_difference, format_number
+from reports.layout.tables import (
+    Bold,
+    Record,
+    Table,
+    format_difference,
+    format_number,
+    pivot,
+    rank_rows,
+)
 
 BASE = "ours"  # the method that others are compared with; the best method if it was not measured
+MAX_CLIPS = 16  # with tables of their own; more clips are in the CSV alone
+MEANS = "PSNR [dB], mean over scenes"
 
 
 def write(results: pd.DataFrame, folder: Path, name: str = "clips") -> list[Path]:
-    """Write PSNR of each clip, a table per budget, best methods first, see `write_report`.
+    """Write PSNR by method and budget, and of each clip, see `write_report`.
 
-    Each table ends with the mean over scenes, and with the difference of each method to `ours` (or
-    to the best method if `ours` was not measured) and its interval.
+    The first table has the means over scenes, the second the difference of each method to `ours`
+    (or to the best method if `ours` was not measured) and its interval. A table for each budget
+    has the clips if they are at most `MAX_CLIPS`; the CSV has them always.
     """
     return write_report(results, folder, name, "PSNR by clip", _section)
 
@@ -32,14 +43,20 @@ def write(results: pd.DataFrame, folder: Path, name: str = "clips") -> list[Path
 def _section(scores: Scores) -> Section:
     means = mean_over_scenes(scores.scene_means)
     records = _differences(scores, means)
-    budgets = sorted(set(scores.clip_means["target_spp"]))
+    clips = sorted(set(scores.clip_means["clip"]))
+    budgets = sorted(set(scores.clip_means["target_spp"])) if len(clips) <= MAX_CLIPS else []
     lists = {
+        "In the CSV alone": [] if budgets else [f"PSNR of each of {len(clips)} clips"],
         "Differences": difference_notes(records),
         "Not run": scores.skip_reasons,
         "Left out of the means": scores.incomplete_groups,
         "Remarks": scores.remarks,
     }
-    tables = [_clip_table(scores, means, records, spp) for spp in budgets]
+    tables = [
+        _mean_table(scores, means),
+        *_difference_table(records),
+        *(_clip_table(scores, means, spp) for spp in budgets),
+    ]
     return Section(scores.device, tables, pd.concat([scores.clip_means, records]), lists)
 
 
@@ -56,27 +73,41 @@ def _differences(scores: Scores, means: pd.DataFrame) -> pd.DataFrame:
     return correct_by_holm(pd.DataFrame(records, columns=columns))
 
 
-def _clip_table(
-    scores: Scores, means: pd.DataFrame, differences: pd.DataFrame, spp: float
-) -> Table:
-    clip_means, scene_means, records = (
-        part[part["target_spp"] == spp] for part in (scores.clip_means, means, differences)
-    )
-    overall = scene_means.set_index("method")["value"].sort_values(ascending=False)
+def _mean_table(scores: Scores, means: pd.DataFrame) -> Table:
+    best = means.groupby("target_spp")["value"].transform("max")
+    records = means.assign(is_best=means["value"] == best)
+
+    def cell(row: Record) -> str:
+        text = format_number(row["value"], ".2f")
+        return Bold(text) if row["is_best"] else text
+
+    header, rows = pivot(records, cell, rank_rows(records, "value"))
+    return Table(MEANS, f"{scores.convention}. The best is bold.", header, rows)
+
+
+def _difference_table(records: pd.DataFrame) -> list[Table]:
+    """One table for each base: that of `ours`, or of the best methods."""
+    return [
+        Table(
+            f"PSNR [dB], minus {base}",
+            "Mean over scenes, paired by frame.",
+            *pivot(part, format_difference, rank_rows(part, "difference")),
+            VERDICT_NOTE,
+        )
+        for base, part in records.groupby("base", sort=False)
+    ]
+
+
+def _clip_table(scores: Scores, means: pd.DataFrame, spp: float) -> Table:
+    clip_means, overall = (part[part["target_spp"] == spp] for part in (scores.clip_means, means))
     # methods that lack a scene have no mean and come last
-    methods = list(dict.fromkeys([*overall.index, *clip_means["method"]]))
+    ranked = overall.sort_values("value", ascending=False)["method"]
+    methods = list(dict.fromkeys([*ranked, *clip_means["method"]]))
     clips = clip_means.pivot_table("value", ["scene", "clip"], "method").reindex(columns=methods)
-    cells = {row["method"]: format_difference(row) for row in records.to_dict("records")}
-    base = next((m for m in overall.index if m not in cells), methods[0])
-    rows = (
-        *((str(clip), *_format_scores(line)) for clip, line in clips.droplevel("scene").iterrows()),
-        ("mean over scenes", *_format_scores(overall.reindex(methods))),
-        (f"minus {base}", *(cells.get(method, "-") for method in methods)),
+    rows = tuple(
+        (str(clip), *_format_scores(line)) for clip, line in clips.droplevel("scene").iterrows()
     )
-    note = (
-        f"{scores.convention}; mean over frames, the best of a row bold. Last row: mean over "
-        f"scenes of the difference to {base}, paired by frame. {VERDICT_NOTE}"
-    )
+    note = "Mean over frames, the best of a row bold."
     return Table(f"PSNR [dB] at {spp:g} spp", "", ("clip", *methods), rows, note)
 
 

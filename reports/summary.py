@@ -1,7 +1,8 @@
-"""The summary: every score and time by method and budget, intervals, and what was not run."""
+"""The summary: scores and times by method and budget, intervals, and what was not run."""
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -15,7 +16,7 @@ from reports.analysis.differences import (
     rank_methods,
 )
 from reports.analysis.rows import remarks, skip_reasons
-from reports.analysis.scores import Scores, metrics_with_values
+from reports.analysis.scores import HEADLINE, Scores, metrics_with_values
 from reports.layout.page import Section, write_report
 from reports.layout.tables import UNRELIABLE_MEANING, Table, format_ms, score_table
 
@@ -30,16 +31,23 @@ TIME_COLUMNS = {
     "inference_p95_ms": "inference p95",
 }
 MAX_SCENE_TABLES = 8  # of PSNR; more scenes are in the report `clips`
+MAX_METHODS = 16  # on a page with every table; a page of more methods is brief
+BRIEF = (*HEADLINE, "ms_ssim", "relmse_trimmed", "flicker")  # metrics of a brief page
 
 
 def write(results: pd.DataFrame, folder: Path, name: str = "summary") -> list[Path]:
-    """Write the page of all scores and times, see `write_report`."""
+    """Write the page of scores and times, see `write_report`.
+
+    With more than `MAX_METHODS` methods, the page has the metrics of `BRIEF` alone, no table for
+    each scene, and the parts of a frame at one budget. The CSV has all scores.
+    """
     return write_report(results, folder, name, "Summary", _section)
 
 
 def _section(scores: Scores) -> Section:
     rows = scores.rows
     metrics = [replace(scores, metric=metric) for metric in metrics_with_values(rows)]
+    is_brief = scores.measured["method"].nunique() > MAX_METHODS
     ranked = [rank_methods(each) for each in metrics]
     records = correct_by_holm(pd.concat(ranked)) if ranked else pd.DataFrame()
     ranks = [records[records["metric"] == each.metric] for each in metrics]
@@ -47,13 +55,16 @@ def _section(scores: Scores) -> Section:
     tables = [
         score_table(each, rank, f"{each.convention}. ")
         for each, rank in zip(metrics, overall, strict=True)
-        if not _is_constant(rank)
+        if not _is_constant(rank) and not (is_brief and each.metric not in BRIEF)
     ]
     if metrics:
-        tables += [*_time_tables(metrics[0]), *_scene_tables(metrics[0], ranks[0])]
+        tables += _time_tables(metrics[0], is_brief)
+        tables += [] if is_brief else _scene_tables(metrics[0], ranks[0])
+    hidden = [each.metric for each in metrics if is_brief and each.metric not in BRIEF]
     lists = {
         "Differences": difference_notes(records) if ranked else [],
         "Equal for all": _constant_metrics(metrics, overall),
+        "In the CSV alone": [f"{', '.join([*hidden, 'scores of each scene'])}"] if hidden else [],
         "Not run": skip_reasons(rows),
         "Left out of the means": [line for each in metrics for line in each.incomplete_groups],
         "Unreliable times": scores.unreliable_times,
@@ -85,11 +96,17 @@ def _constant_metrics(metrics: Sequence[Scores], ranks: Sequence[pd.DataFrame]) 
     ]
 
 
-def _time_tables(scores: Scores) -> list[Table]:
-    """The parts of a frame, the fastest frame of a budget first; no table without times."""
+def _time_tables(scores: Scores, is_brief: bool) -> list[Table]:
+    """The parts of a frame, the fastest frame of a budget first; no table without times.
+
+    A brief page has the budget nearest to 1 spp.
+    """
     if scores.overall["frame_ms"].isna().all():
         return []
     times = scores.overall.sort_values(["target_spp", "frame_ms", "method"])
+    if is_brief:
+        budgets = times["target_spp"].unique()
+        times = times[times["target_spp"] == min(budgets, key=lambda spp: abs(math.log(spp)))]
     rows = tuple(
         (row["method"], f"{row['target_spp']:g}", f"{row['mean_spp']:.3g}")
         + tuple(format_ms(row[c], row["unreliable"], 2) for c in TIME_COLUMNS)

@@ -63,17 +63,39 @@ def test_clips_have_a_row_each_the_best_first_and_the_difference_to_ours(results
     assert header == ["ours", "ours/latent-small", "ntas", "oidn", "mean"]
     expected = sum(psnr("ntas", "hall", 4, clip=1, frame=f) for f in range(4)) / 4
     assert cells(page, "PSNR [dB] at 4 spp", "hall-1")[2] == f"{expected:.2f}"
-    last = cells(page, "PSNR [dB] at 1 spp", "minus ours")
-    assert last[0] == "-"
-    assert last[2].startswith("-1.30 [-1.3")
+    assert cells(page, per_clip.MEANS, "ours ")[1] == f"{METHODS['ours'][0] + OFFSET:.2f}"
+    assert cells(page, "PSNR [dB], minus ours", "ntas")[1].startswith("-1.30 [-1.3")
+
+
+def test_many_clips_are_in_the_csv_alone(tmp_path):
+    some = [r for r in rows(["ours", "ntas"]) if r.metric == "psnr" and r.scene == "city"]
+    clips = [[replace(r, scene=f"s{i}", clip=f"s{i}-{r.clip}") for r in some] for i in range(9)]
+    for count, tables in ((8, 5), (9, 0)):  # two clips each, five budgets
+        page, data, *_ = per_clip.write(to_dataframe(sum(clips[:count], [])), tmp_path)
+        assert page.read_text().count("### PSNR [dB] at") == tables
+        assert {"s0-city-0", "s0-city-1"} <= set(pd.read_csv(data)["clip"])
+
+
+def test_a_summary_of_many_methods_is_brief(tmp_path):
+    ours = [r for r in rows(["ours"]) if r.scene == "city"]
+    many = [replace(r, method=f"m{i:02}", value=r.value + i) for i in range(17) for r in ours]
+    for methods, scenes in (("m15", 1), ("m16", 0)):
+        some = to_dataframe([r for r in many if r.method <= methods])
+        page, data, *_ = summary.write(some, tmp_path)
+        text = page.read_text()
+        assert text.count("### psnr [dB], city") == scenes
+        assert ("### relmse" in text) == bool(scenes)
+        assert "relmse" in set(pd.read_csv(data)["metric"])
+        assert text.count("| m00 | 0.5 |") == scenes
+        assert text.count("| m00 | 1 |") == 1
 
 
 def test_without_ours_clips_are_compared_with_the_best_and_incomplete_methods_come_last(tmp_path):
     some = [r for r in rows(("oidn", "ntas")) if (r.method, r.scene) != ("ntas", "hall")]
     page = per_clip.write(to_dataframe(some), tmp_path)[0].read_text()
     assert cells(page, "PSNR [dB] at 2 spp", "clip") == ["oidn", "ntas"]
-    for line in ("hall-0", "mean over scenes", "minus oidn"):
-        assert cells(page, "PSNR [dB] at 2 spp", line)[1] == "-"
+    assert cells(page, "PSNR [dB] at 2 spp", "hall-0")[1] == "-"
+    assert "| ntas" not in page.split("### PSNR [dB] at")[0]
 
 
 def counted(method, scene, shares, **metrics):
