@@ -7,9 +7,9 @@ rlbench stress. Writes stress.md, stress.png, and stress-SECTION.png for each se
 from __future__ import annotations
 
 import argparse
-from collections.abc import Hashable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import pandas as pd
 from matplotlib.patches import Rectangle
@@ -94,7 +94,10 @@ def small_table(matrix: Matrix, methods: Sequence[str], is_suite: bool = False) 
 
 
 def write_page(matrix: Matrix, folder: Path) -> list[Path]:
-    """Write the pictures and the page with all that did not pass; returns the files."""
+    """Write the pictures and the page with all that did not pass; returns the files.
+
+    What was found in each method, in words, is in `stress.csv` of the results.
+    """
     folder.mkdir(parents=True, exist_ok=True)
     overview, page, sections = folder / "stress.png", folder / "stress.md", matrix.sections()
     pairs = [(method, section) for method in matrix.methods for section in sections]
@@ -114,7 +117,8 @@ def write_page(matrix: Matrix, folder: Path) -> list[Path]:
 
 def _page(matrix: Matrix) -> Iterator[str]:
     yield "# Stress tests\n"
-    yield f"Written by `{COMMAND}`. [How to read a verdict](../how-to/stress-a-method.md).\n"
+    yield f"Written by `{COMMAND}`. [How to read a verdict](../how-to/stress-a-method.md). "
+    yield "Below: tests that some methods did not pass; `stress.csv` says what was found in each.\n"
     yield "![Tests passed by each method in each section](stress.png)\n"
     if planted := _count_contained(matrix):
         yield f"{planted}.\n"
@@ -139,30 +143,33 @@ def _count_contained(matrix: Matrix) -> str:
 
 
 def _list_faults(rows: pd.DataFrame) -> str:
-    """A table of the results that did not pass, the failed ones first."""
+    """A line for each test and verdict that is not passed: methods, figures and remedy."""
     faults = rows[rows["verdict"].isin(["failed", "degraded"])]
     if faults.empty:
         return "Every test passed.\n"
-    faults = faults.sort_values("verdict", key=lambda v: v.map(ORDER.index), kind="stable")
+    order = [(verdict, test) for verdict in ORDER for test in dict.fromkeys(faults["test"])]
+    groups = dict(list(faults.groupby(["verdict", "test"])))
     cells = [
         [
-            *(row["method"], row["test"], MARKS[row["verdict"]]),
-            *(_format_figure(row), row["found"], row["remedy"]),
+            *(test, MARKS[verdict], ", ".join(groups[verdict, test]["method"])),
+            *(_format_figures(groups[verdict, test]), groups[verdict, test]["remedy"].iloc[0]),
         ]
-        for row in faults.to_dict("records")
+        for verdict, test in order
+        if (verdict, test) in groups
     ]
-    head = ["method", "test", "verdict", "figure (limits)", "found", "remedy"]
-    return _format_table(head, cells)
+    return _format_table(["test", "verdict", "methods", "figures (limits)", "remedy"], cells)
 
 
 def _format_table(head: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
     return pipe_table(head, [list(map(escape_bars, row)) for row in rows], numbers=False)
 
 
-def _format_figure(row: Mapping[Hashable, Any]) -> str:
-    """`2.1 dB (0.1, 1)`, with the limits of passed and degraded; empty without a figure."""
-    limits = ", ".join(f"{row[name]:g}" for name in ("good", "fair") if row[name] == row[name])
-    text = f"{row['figure']:.4g} {row['unit']}".strip() if row["figure"] == row["figure"] else ""
+def _format_figures(rows: pd.DataFrame) -> str:
+    """`0.3 to 2.1 dB (0.1, 1)`, with the limits of passed and degraded; empty without figures."""
+    first, figures = rows.iloc[0], rows["figure"].dropna()
+    limits = ", ".join(f"{first[name]:g}" for name in ("good", "fair") if not pd.isna(first[name]))
+    ends = dict.fromkeys(f"{figure:.4g}" for figure in (figures.min(), figures.max()))
+    text = f"{' to '.join(ends)} {first['unit']}".strip() if len(figures) else ""
     return f"{text} ({limits})" if limits else text
 
 

@@ -156,7 +156,8 @@ STRESS = [  # method, section, test, verdict, figure, unit, good, fair, found, r
     ("mean", "bad-pixel", "depth-nan", "skipped", "", "", "", "", "reads no depth", ""),
     ("mean", "budgets", "spp-0", "passed", "0", "pixels", "0", "0", "", ""),
     ("ours/A1", "bad-pixel", "sample-nan", "failed", "inf", "pixels", "256", "", "spreads", "clip"),
-    ("ours/A1", "bad-pixel", "depth-nan", "degraded", "300", "pixels", "256", "", "a|b", "clamp"),
+    ("ours/A1", "bad-pixel", "depth-nan", "degraded", "300", "pixels", "256", "", "far", "a|b"),
+    ("ntas", "bad-pixel", "sample-nan", "failed", "300", "pixels", "256", "", "spreads", "clip"),
     ("ours/A1", "budgets", "run", "skipped", "", "", "", "", "no weights", ""),
     ("", "metrics", "psnr-nan", "passed", "0", "dB", "", "", "", ""),
 ]
@@ -183,10 +184,10 @@ def test_the_stress_page_lists_what_did_not_pass_with_the_worst_first(matrix, tm
     assert [file.name for file in files] == names
     assert all(has_ink(file) for file in files[1:])
     page = files[0].read_text()
-    assert "Planted bad pixels: 1 of 3 contained.\n" in page
+    assert "Planted bad pixels: 1 of 4 contained.\n" in page
     assert "| mean | ✓ 1/1 | ✓ 1/1 |\n| ours/A1 | ✗ 0/2 | – |\n" in page  # noqa: RUF001
-    failed = "| ours/A1 | sample-nan | ✗ | inf pixels (256) | spreads | clip |"
-    degraded = "| ours/A1 | depth-nan | ! | 300 pixels (256) | a\\|b | clamp |"
+    failed = "| sample-nan | ✗ | ours/A1, ntas | 300 to inf pixels (256) | clip |"
+    degraded = "| depth-nan | ! | ours/A1 | 300 pixels (256) | a\\|b |"
     assert f"{failed}\n{degraded}\n" in page
     assert page.endswith("## metrics\n\nEvery test passed.\n")
 
