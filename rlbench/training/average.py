@@ -52,7 +52,7 @@ def average_weights(parts: Sequence[tuple[float, Path]], out: Path, command: str
     card = replace(
         cards[-1],
         data=tuple(dict.fromkeys(clip for card in cards for clip in card.data)),
-        frames_seen=sum(card.frames_trained for card in cards),
+        frames_seen=sum(card.frames_seen for card in cards),  # parts may share a start
         frames_before=0,
         kept_at=0,
         trend="",

@@ -6,9 +6,11 @@ import pytest
 import torch
 
 from methods.ours.experiments.correction import ScaledAction
+from methods.ours.experiments.scale_sampler import main as scale_sampler
 from rlbench import registry
 from rlbench.clips.procedural.clip import procedural_clip
 from rlbench.run import run_clip
+from rlbench.weights import read_card
 
 
 def images(method) -> list[torch.Tensor]:
@@ -22,3 +24,18 @@ def test_the_ends_of_the_scale_are_the_rule_and_the_learned_density(scale, row):
         images(scaled), images(registry.load_method(row, torch.device("cpu"))), strict=True
     ):
         assert torch.equal(one, other)
+
+
+def test_a_scaled_sampler_halves_the_action_before_tanh_and_its_card_says_so(tmp_path):
+    shipped = registry.shipped_weights("ours")
+    scale_sampler([str(shipped), str(tmp_path / "half.safetensors"), "--factor", "0.5"])
+    whole, half = (
+        registry.load_method("ours", torch.device("cpu"), weights=str(path)).sampler
+        for path in (shipped, tmp_path / "half.safetensors")
+    )
+    inputs = torch.randn(1, whole.tail.in_channels, 32, 32, generator=torch.Generator())
+    # the file holds float16, whose rounding is 5e-4 of a weight
+    assert half(inputs).atanh() == pytest.approx(0.5 * whole(inputs).atanh(), abs=1e-3)
+    assert "multiplied by 0.5" in read_card(tmp_path / "half.safetensors").note
+    with pytest.raises(SystemExit):
+        scale_sampler([str(registry.shipped_weights("oidn")), str(tmp_path / "none.safetensors")])

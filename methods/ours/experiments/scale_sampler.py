@@ -33,9 +33,8 @@ def scale_sampler(weights: Path, out: Path, factor: float, command: str) -> Mode
     if missing := [name for name in LAST_LAYER if name not in tensors]:
         raise WeightsError(f"{weights} has no sampler: it lacks {', '.join(missing)}")
     scaled = tensors | {name: factor * tensors[name].float() for name in LAST_LAYER}
-    note = (
-        f"The sampler's action before tanh is multiplied by {factor:g}; trained by: {card.command}"
-    )
+    note = f"{card.note} The sampler's action before tanh is multiplied by {factor:g}.".strip()
+    command = f"{card.command} && {command}" if card.command else command
     return save(scaled, out, replace(card, command=command, note=note))
 
 
