@@ -93,11 +93,10 @@ def test_the_table_of_the_reference_lists_the_names_on_rlbench():
     assert re.findall(r"^\| `(\w+)` \|", REFERENCE, re.MULTILINE) == list(rlbench.__all__)
 
 
-@pytest.mark.parametrize("first", ["from rlbench.{} import __all__", "pass"])
-@pytest.mark.parametrize("name", ["run", "denoise"])
-def test_a_name_is_the_function_whatever_was_imported_before(first, name):
-    check = f"assert isinstance(rlbench.{name}, types.FunctionType)"
-    code = f"{first.format(name)}\nimport rlbench, types\n{check}"
+@pytest.mark.parametrize("first", ["import rlbench.run, rlbench.denoise", "pass"])
+def test_a_name_is_the_function_whatever_was_imported_before(first):
+    check = "assert {type(rlbench.run), type(rlbench.denoise)} == {types.FunctionType}"
+    code = f"{first}\nimport rlbench, types\n{check}"
     assert subprocess.run([sys.executable, "-c", code], cwd=ROOT).returncode == 0
 
 

@@ -158,10 +158,19 @@ def test_a_budget_up_to_the_pilot_is_uniform(spp):
     assert int(counts.max()) == 1
 
 
-@pytest.mark.parametrize("discard_pilot", [False, True])
-@pytest.mark.parametrize("min_samples", [0, 1, 2])
-@pytest.mark.parametrize(("pilot_spp", "spp"), [(0.5, 2.4), (1.0, 3.0), (1.5, 4.0), (2.0, 8.0)])
-@pytest.mark.parametrize("passes", [(0.25, 1.0), (0.5, 1.0), (0.25, 0.375, 1.0)])
+@pytest.mark.parametrize(
+    ("discard_pilot", "min_samples", "pilot_spp", "spp", "passes"),
+    [
+        (False, 0, 0.5, 2.4, (0.25, 1.0)),
+        (False, 1, 1.5, 4.0, (0.25, 0.375, 1.0)),
+        (False, 2, 2.0, 8.0, (0.5, 1.0)),
+        (True, 0, 1.0, 3.0, (0.25, 0.375, 1.0)),
+        (True, 1, 0.5, 2.4, (0.5, 1.0)),
+        (True, 1, 2.0, 8.0, (0.25, 1.0)),
+        (True, 2, 1.5, 4.0, (0.5, 1.0)),
+        (True, 2, 1.0, 3.0, (0.5, 1.0)),  # refused
+    ],
+)
 def test_every_pilot_goes_with_all_passes(discard_pilot, min_samples, pilot_spp, spp, passes):
     traits = Traits(
         adaptive=True,

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
+from functools import partial
 from typing import NamedTuple
 
 import pytest
@@ -23,6 +24,8 @@ from rlbench.frames import Size
 from rlbench.method import Method
 from rlbench.run import FrameResult, run_clip
 from rlbench.wrappers import MethodWrapper, SkipTiles
+
+measure_scores = partial(measure, scores_only=True)
 
 CPU = torch.device("cpu")
 SIZE = Size(1, 200, 330)  # larger than a chunk of `rlbench.ops.padded_rows`, and no whole tiles
@@ -193,9 +196,9 @@ def test_a_negative_receptive_field_is_an_error():
 
 def test_rows_of_skipped_tiles_have_equal_scores_and_the_share(clip_folder, tmp_path):
     name = "eaw/still"
-    plan = RunPlan((name,), (StoredSource(clip_folder),), (0.25,), repeats=1, skip_tiles=True)
-    measure(replace(plan, skip_tiles=False), tmp_path / "r")
-    assert measure(plan, tmp_path / "r") == RunSummary(measured=1)
+    plan = RunPlan((name,), (StoredSource(clip_folder),), (0.25,), skip_tiles=True)
+    measure_scores(replace(plan, skip_tiles=False), tmp_path / "r")
+    assert measure_scores(plan, tmp_path / "r") == RunSummary(measured=1)
     rows = results.read(tmp_path / "r").set_index(["method", "frame", "metric"])["value"]
     assert rows[name, 2, "psnr"] == rows[f"{name}@tiles", 2, "psnr"]
     assert 0 <= rows[f"{name}@tiles", 2, "tiles_skipped"] <= 1
@@ -203,6 +206,6 @@ def test_rows_of_skipped_tiles_have_equal_scores_and_the_share(clip_folder, tmp_
 
 
 def test_methods_without_a_receptive_field_keep_their_rows(clip_folder, tmp_path):
-    plan = RunPlan(("eaw",), (StoredSource(clip_folder),), (1.0,), repeats=1)
-    measure(plan, tmp_path / "r")
-    assert measure(replace(plan, skip_tiles=True), tmp_path / "r") == RunSummary(cached=1)
+    plan = RunPlan(("eaw",), (StoredSource(clip_folder),), (1.0,))
+    measure_scores(plan, tmp_path / "r")
+    assert measure_scores(replace(plan, skip_tiles=True), tmp_path / "r") == RunSummary(cached=1)

@@ -163,8 +163,3 @@ def test_restart_archives_the_old_run(calls, tmp_path):
     output = rlbench(*words, "--restart")
     assert f"oidn/retrained: the old run is now in {tmp_path}/oidn-retrained.old-1" in output
     assert (tmp_path / "oidn-retrained.old-1").is_dir()
-
-
-def test_crossval_refuses_a_scene_that_the_preset_lacks():
-    output = rlbench("crossval", "-m", "ntas", "--scenes", "attic", code=2)
-    assert "preset 'mini' has: city, temple, hall" in output

@@ -23,9 +23,9 @@ def test_the_conventions_have_these_names():
 
 
 @pytest.mark.parametrize("name", NAMES)
-@pytest.mark.parametrize("value", [0.0, 1.0, 3e38, math.inf, -1.0])
-def test_every_convention_shows_any_radiance_within_the_display(name, value):
-    encoded = CONVENTIONS[name].encode(torch.full((1, 3, 2, 2), value))
+def test_every_convention_shows_any_radiance_within_the_display(name):
+    radiance = torch.tensor([0.0, 1.0, 3e38, math.inf, -1.0]).view(5, 1, 1, 1)
+    encoded = CONVENTIONS[name].encode(radiance.expand(5, 3, 2, 2))
     assert ((encoded >= 0) & (encoded <= 1)).all()
 
 

@@ -29,13 +29,11 @@ def judge(metric, last_pixel):
 
 
 @pytest.mark.parametrize("metric", JUDGING, ids=lambda m: m.name)
-@pytest.mark.parametrize("value", [math.nan, math.inf, -math.inf])
-def test_a_nonfinite_pixel_is_at_least_as_bad_as_any_displayable_one(metric, value):
-    broken = judge(metric, value)
-    for displayable in (0.0, 0.1, 0.5, 1.0):
-        assert broken >= judge(metric, displayable)
+def test_a_nonfinite_pixel_is_at_least_as_bad_as_any_displayable_one(metric):
+    worst_displayable = max(judge(metric, value) for value in (0.0, 0.1, 0.5, 1.0))
+    for value in (math.nan, math.inf, -math.inf):
+        assert judge(metric, value) >= worst_displayable
 
 
-@pytest.mark.parametrize("metric", METRICS, ids=lambda m: m.name)
-def test_a_metric_of_effort_judges_no_image_and_has_no_direction(metric):
-    assert "counts" not in metric.needs or metric.direction == ""
+def test_a_metric_of_effort_judges_no_image_and_has_no_direction():
+    assert {m.direction for m in METRICS if "counts" in m.needs} == {""}
