@@ -28,8 +28,8 @@ def average_weights(parts: Sequence[tuple[float, Path]], out: Path, command: str
     """Write the weighted mean of weights files, with a card that names them; returns the card.
 
     `parts` are shares, which sum to 1, and files. The card has the name, curves and time of the
-    last file, the clips and frames of all files, and `command`. Raises WeightsError if a file or
-    its card is missing, if names or shapes differ, or if the shares do not sum to 1.
+    last file, the origin of the first, clips and frames of all, and `command`. Raises WeightsError
+    if a file or its card is missing, if names or shapes differ, or if the shares do not sum to 1.
     """
     if abs(math.fsum(share for share, _ in parts) - 1) > TOLERANCE:
         shares = " + ".join(f"{share:g}" for share, _ in parts)
@@ -57,6 +57,7 @@ def average_weights(parts: Sequence[tuple[float, Path]], out: Path, command: str
         kept_at=0,
         trend="",
         command=command,
+        origin=cards[0].origin,
         note=f"Weighted mean of weights: {', '.join(names)}. Curves and time are of the last.",
     )
     return save(mean, out, card)
