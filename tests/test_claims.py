@@ -101,14 +101,14 @@ def check_contrast_is_first_on_mini() -> None:
 def check_blotches_of_contrast() -> None:
     title = "Blotches on smooth surfaces [%], mean over scenes"
     ratio = read_real(title, "accumulate/contrast") / read_real(title, "oidn")
-    assert 1.8 < ratio < 2.3
+    assert 2 < ratio < 3
 
 
 def check_three_scenes_do_not_separate() -> None:
     header, *rows = read_rows("real.md", REAL_PSNR)
     first, *others = (cells[header.index("1 spp")] for cells in rows[1:9])
     assert "[" not in first
-    assert all(cell.endswith("not resolved") for cell in others)
+    assert all(cell.endswith(("tie", "not resolved")) for cell in others)
 
 
 def read_winners() -> list[dict[str, str]]:
@@ -116,23 +116,19 @@ def read_winners() -> list[dict[str, str]]:
     return list(csv.DictReader((RESULTS / "winners.csv").read_text().splitlines()))
 
 
-def read_wins_of_a1() -> list[dict[str, str]]:
-    return [row for row in read_winners() if row["method"] == "ours/A1"]
+def read_wins() -> list[dict[str, str]]:
+    return [row for row in read_winners() if row["method"] == "ours/latent-by-rule"]
 
 
-def leaves_time(row: dict[str, str]) -> bool:
-    return float(row["deadline_ms"]) >= 40 + 3.5 * float(row["sample_ms"])
+def check_where_the_rule_wins() -> None:
+    assert len(read_wins()) > len(read_winners()) / 2
 
 
-def check_where_a1_wins() -> None:
-    assert len(read_wins_of_a1()) > len(read_winners()) / 2
-    assert {row["method"] for row in read_winners() if leaves_time(row)} == {"ours/A1"}
-
-
-def check_the_lead_of_a1_is_not_resolved() -> None:
-    assert {row["is_open"] for row in read_wins_of_a1()} == {"True"}
-    by_rule = {"accumulate/contrast", "ours/latent-by-rule"}
-    assert {row["runner_up"] for row in read_wins_of_a1()} == by_rule
+def check_the_lead_of_the_rule_is_not_resolved() -> None:
+    wins = read_wins()
+    assert {row["is_open"] for row in wins} == {"True"}
+    learned = [row for row in wins if row["runner_up"] == "ours/A1"]
+    assert len(learned) < len(wins) / 100
 
 
 def check_hatching_is_what_the_interval_says() -> None:
@@ -144,7 +140,7 @@ def check_hatching_is_what_the_interval_says() -> None:
 
 CLAIMS: dict[str, Callable[[], None]] = {
     "is first of this table on `mini` at 1 spp": check_contrast_is_first_on_mini,
-    "twice the [blotches](docs/reference/metrics.md#blotches) of `oidn` on `real`": (
+    "more than twice the [blotches](docs/reference/metrics.md#blotches) of `oidn` on `real`": (
         check_blotches_of_contrast
     ),
     "Three scenes do not separate the first eight rows at 1 spp": (
@@ -154,12 +150,11 @@ CLAIMS: dict[str, Callable[[], None]] = {
     "4 spp": check_other_rules_tie,
     "At 0.5 spp `ours` leads `accumulate/contrast` by 2.06 dB": check_contrast_below_one_spp,
     "on a first frame it is behind `oidn/tuned` from 1 spp on": check_first_frame,
-    "is best in most of the map, wherever the deadline exceeds the time of 3.5 spp by 40 ms": (
-        check_where_a1_wins
+    "`ours/latent-by-rule`, whose density is a rule, is best in most of the map": (
+        check_where_the_rule_wins
     ),
-    "Nowhere is its lead over the runner-up, which has a density by rule, resolved": (
-        check_the_lead_of_a1_is_not_resolved
-    ),
+    "Nowhere is its lead resolved over the runner-up, which in nearly all of these places has a "
+    "density by rule too": check_the_lead_of_the_rule_is_not_resolved,
     "Where the map is hatched, the first two tie, or four scenes do not separate them": (
         check_hatching_is_what_the_interval_says
     ),
