@@ -61,7 +61,7 @@ def test_optional_fields_are_in_the_json_only_if_they_are_chosen():
 
 
 def test_the_config_in_the_card_of_shipped_weights_is_read():
-    card = read_card(Path(CARDS) / "A1.safetensors")
+    card = read_card(Path(CARDS) / "latent.safetensors")
     config = TrainingConfig.from_dict(json.loads(card.training_config))
     assert (config.frames, config.sequence_length, config.bf16) == (6000, 6, True)
     assert config.spp[:3] == (0.05, 0.25, 0.5)
