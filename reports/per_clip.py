@@ -54,7 +54,7 @@ def _section(scores: Scores) -> Section:
     }
     tables = [
         _mean_table(scores, means),
-        *_difference_table(records),
+        *_difference_tables(records),
         *(_clip_table(scores, means, spp) for spp in budgets),
     ]
     return Section(scores.device, tables, pd.concat([scores.clip_means, records]), lists)
@@ -85,7 +85,7 @@ def _mean_table(scores: Scores, means: pd.DataFrame) -> Table:
     return Table(MEANS, f"{scores.convention}. The best is bold.", header, rows)
 
 
-def _difference_table(records: pd.DataFrame) -> list[Table]:
+def _difference_tables(records: pd.DataFrame) -> list[Table]:
     """One table for each base: that of `ours`, or of the best methods."""
     return [
         Table(

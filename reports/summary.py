@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -15,7 +14,7 @@ from reports.analysis.differences import (
     difference_notes,
     rank_methods,
 )
-from reports.analysis.rows import remarks, skip_reasons
+from reports.analysis.rows import nearest_to_one, remarks, skip_reasons
 from reports.analysis.scores import HEADLINE, Scores, metrics_with_values
 from reports.layout.page import Section, write_report
 from reports.layout.tables import UNRELIABLE_MEANING, Table, format_ms, score_table
@@ -48,6 +47,7 @@ def _section(scores: Scores) -> Section:
     rows = scores.rows
     metrics = [replace(scores, metric=metric) for metric in metrics_with_values(rows)]
     is_brief = scores.measured["method"].nunique() > MAX_METHODS
+    hidden = {each.metric for each in metrics if is_brief and each.metric not in BRIEF}
     ranked = [rank_methods(each) for each in metrics]
     records = correct_by_holm(pd.concat(ranked)) if ranked else pd.DataFrame()
     ranks = [records[records["metric"] == each.metric] for each in metrics]
@@ -55,16 +55,15 @@ def _section(scores: Scores) -> Section:
     tables = [
         score_table(each, rank, f"{each.convention}. ")
         for each, rank in zip(metrics, overall, strict=True)
-        if not _is_constant(rank) and not (is_brief and each.metric not in BRIEF)
+        if not _is_constant(rank) and each.metric not in hidden
     ]
     if metrics:
         tables += _time_tables(metrics[0], is_brief)
         tables += [] if is_brief else _scene_tables(metrics[0], ranks[0])
-    hidden = [each.metric for each in metrics if is_brief and each.metric not in BRIEF]
     lists = {
         "Differences": difference_notes(records) if ranked else [],
         "Equal for all": _constant_metrics(metrics, overall),
-        "In the CSV alone": [f"{', '.join([*hidden, 'scores of each scene'])}"] if hidden else [],
+        "In the CSV alone": [", ".join([*sorted(hidden), "scores of each scene"])] * is_brief,
         "Not run": skip_reasons(rows),
         "Left out of the means": [line for each in metrics for line in each.incomplete_groups],
         "Unreliable times": scores.unreliable_times,
@@ -105,8 +104,7 @@ def _time_tables(scores: Scores, is_brief: bool) -> list[Table]:
         return []
     times = scores.overall.sort_values(["target_spp", "frame_ms", "method"])
     if is_brief:
-        budgets = times["target_spp"].unique()
-        times = times[times["target_spp"] == min(budgets, key=lambda spp: abs(math.log(spp)))]
+        times = times[times["target_spp"] == nearest_to_one(set(times["target_spp"]))]
     rows = tuple(
         (row["method"], f"{row['target_spp']:g}", f"{row['mean_spp']:.3g}")
         + tuple(format_ms(row[c], row["unreliable"], 2) for c in TIME_COLUMNS)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
-from functools import partial
 from typing import NamedTuple
 
 import pytest
@@ -14,7 +13,7 @@ from rlbench import registry
 from rlbench.benchmark import results
 from rlbench.benchmark.clip_sources import StoredSource
 from rlbench.benchmark.run_plan import RunPlan
-from rlbench.benchmark.runner import RunSummary, measure
+from rlbench.benchmark.runner import RunSummary
 from rlbench.checks.tensors import is_bit_equal, iterate_tensors
 from rlbench.clips.in_memory import InMemoryClip
 from rlbench.clips.procedural.clip import procedural_clip
@@ -24,8 +23,7 @@ from rlbench.frames import Size
 from rlbench.method import Method
 from rlbench.run import FrameResult, run_clip
 from rlbench.wrappers import MethodWrapper, SkipTiles
-
-measure_scores = partial(measure, scores_only=True)
+from tests.measuring import measure_scores
 
 CPU = torch.device("cpu")
 SIZE = Size(1, 200, 330)  # larger than a chunk of `rlbench.ops.padded_rows`, and no whole tiles

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from functools import partial
 from pathlib import Path
 
 import pytest
@@ -14,7 +13,7 @@ from rlbench.benchmark import results
 from rlbench.benchmark.clip_sources import StoredSource
 from rlbench.benchmark.run_outcome import read_outcome
 from rlbench.benchmark.run_plan import RunPlan
-from rlbench.benchmark.runner import RunSummary, measure
+from rlbench.benchmark.runner import RunSummary
 from rlbench.cli import console
 from rlbench.clips.procedural.clip import procedural_clip
 from rlbench.family import Traits
@@ -25,6 +24,7 @@ from rlbench.ops.unet import UNet
 from rlbench.ops.unet_widths import FAST_WIDTHS
 from rlbench.run import run_clip
 from rlbench.wrappers import HalfPrecision, MethodWrapper
+from tests.measuring import measure_scores
 
 CPU = torch.device("cpu")
 
@@ -65,9 +65,6 @@ def test_half_precision_images_are_float32_and_nearly_the_same():
         # 16 layers, each with a relative rounding error of at most 2^-9 in values and in weights
         error = (single - reduced).square().mean().sqrt() / single.square().mean().sqrt()
         assert error < 32 * 2**-9
-
-
-measure_scores = partial(measure, scores_only=True)
 
 
 def bf16_plan(folder: Path, *methods: str, bf16: bool = True) -> RunPlan:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Set
+from collections.abc import Collection, Set
 
 import pandas as pd
 
@@ -25,6 +25,15 @@ REQUESTED = ", requested "  # in a reason, before the budget that a sentence nam
 
 class ReportError(TableError):
     """A results table whose rows cannot be compared in one report."""
+
+
+def nearest_to_one(budgets: Collection[float]) -> float:
+    """The budget nearest to 1 spp in ratio.
+
+    >>> nearest_to_one({0.5, 4.0})
+    0.5
+    """
+    return min(sorted(budgets), key=lambda spp: max(spp, 1 / max(spp, 1e-9)))
 
 
 def family_of(name: str) -> str:

@@ -102,7 +102,10 @@ def find_images(
         sources = find_sources(kept, clips)
     except OptionError as error:
         return ShownClips(), str(error)
-    return find_shown_clips(results, sources, methods, spp or (nearest_to_one(known),)), ""
+    from reports.analysis.rows import nearest_to_one
+
+    budgets = spp or (nearest_to_one(known),)
+    return find_shown_clips(results, sources, methods, budgets), ""
 
 
 def find_sources(
@@ -130,15 +133,6 @@ def find_sources(
         for preset, own in sorted(by_preset.items())
         for source in select_clips(None, sorted(own), preset, pool_kinds=pools)
     ]
-
-
-def nearest_to_one(budgets: Collection[float]) -> float:
-    """The budget nearest to 1 spp in ratio.
-
-    >>> nearest_to_one({0.5, 4.0})
-    0.5
-    """
-    return min(sorted(budgets), key=lambda spp: max(spp, 1 / max(spp, 1e-9)))
 
 
 def _join(budgets: Collection[float], separator: str = ", ") -> str:

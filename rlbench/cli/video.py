@@ -10,7 +10,7 @@ import typer
 from rlbench.cli import options
 from rlbench.cli.arguments import Crop, parse_crop, split_names
 from rlbench.cli.options import OUTPUT, flag, folder, number, option
-from rlbench.cli.selection import find_sources, nearest_to_one, read_rows, select_methods
+from rlbench.cli.selection import find_sources, read_rows, select_methods
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -119,6 +119,8 @@ def video(
     )
     rows = read_rows(results, scenes=scenes)
     names = _order_methods(rows, split_names(methods), results)
+    from reports.analysis.rows import nearest_to_one
+
     budgets = spp or (nearest_to_one(set(rows["target_spp"])),)
     own_clips = set(rows.loc[rows["method"].isin(names), "clip"])
     kept = find_all_images(results, names, own_clips, budgets)

@@ -8,7 +8,6 @@ import re
 import shutil
 import weakref
 from dataclasses import replace
-from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -29,8 +28,7 @@ from rlbench.errors import OptionError
 from rlbench.system import code_hash, provenance
 from rlbench.weights import card_path
 from tests.conftest import write_noise, write_plugin
-
-measure_scores = partial(measure, scores_only=True)
+from tests.measuring import measure_scores
 
 MS = "_ms"  # end of the names of times, which differ between runs
 

@@ -23,9 +23,7 @@ import torch
 from safetensors import torch as safetensors
 from torch import Tensor
 
-from methods.ours.initialization import initialize
-from methods.ours.method import Ours
-from rlbench import registry
+from methods.ours.train import training_task
 from rlbench.errors import RlbenchError
 from rlbench.weights import ModelCard, WeightsError, read_card, save
 
@@ -39,14 +37,15 @@ def initial_denoiser(tensors: Weights, card: ModelCard) -> tuple[Weights, ModelC
 
     Raises WeightsError if they are not of a row of `ours`.
     """
-    method = registry.load_method(card.name, torch.device("cpu"), weights="random")
-    if not isinstance(method, Ours):
+    family, _, variant = card.name.partition("/")
+    if family != "ours":
         raise WeightsError(f"'{card.name}' is not a row of ours")
-    origin = initialize(method.networks, method.config, card.seed)
-    first = method.networks.state_dict()
+    task = training_task(variant, torch.device("cpu"), card.seed)
+    first = task.networks.state_dict()
     names = [name for name in tensors if name.startswith("denoiser.")]
     edited = {**tensors, **{name: first[name] for name in names}}
-    return edited, replace(card, origin=origin, frames_seen=0, note="The denoiser is untrained.")
+    note = "The denoiser is untrained."
+    return edited, replace(card, origin=task.origin, frames_seen=0, note=note)
 
 
 def scale_sampler(tensors: Weights, card: ModelCard, factor: float) -> tuple[Weights, ModelCard]:
@@ -69,14 +68,12 @@ def main(argv: Sequence[str] | None = None) -> None:
         epilog=f"example: {PROGRAM} scale-sampler runs/ours/ours.safetensors half.safetensors",
     )
     commands = parser.add_subparsers(dest="command", required=True)
-    for name, line in (
-        ("initial-denoiser", "the denoiser as it was before training"),
-        ("scale-sampler", "a sampler that acts less"),
-    ):
-        command = commands.add_parser(name, help=line, description=line)
-        command.add_argument("weights", type=Path, help="a weights file with its card beside it")
-        command.add_argument("out", type=Path, help="the file to write; its card goes beside it")
-    command.add_argument("--factor", type=float, default=0.5, help="default: 0.5")
+    initial = commands.add_parser("initial-denoiser", help="the denoiser before training")
+    scale = commands.add_parser("scale-sampler", help="a sampler that acts less")
+    for each in (initial, scale):
+        each.add_argument("weights", type=Path, help="a weights file with its card beside it")
+        each.add_argument("out", type=Path, help="the file to write; its card goes beside it")
+    scale.add_argument("--factor", type=float, default=0.5, help="default: 0.5")
     given = list(sys.argv[1:] if argv is None else argv)
     arguments = parser.parse_args(given)
     edit: Callable[[Weights, ModelCard], tuple[Weights, ModelCard]] = initial_denoiser
