@@ -111,8 +111,9 @@ def figure_labels(scores: Scores) -> Labels:
     title = score_name(metric)
     caption = (
         f"{title}: {scores.convention}; {describe_clips(scores.measured)}. "
-        f"Frame time: plan + allocate + denoise on {scores.device_name}\n+ G-buffer + drawn "
-        f"samples per pixel x time of one sample per pixel ({scores.cost_source or 'not named'})."
+        f"Frame time: plan + allocate + denoise on {scores.device_name} + G-buffer "
+        "+ drawn samples per pixel x time of one sample per pixel "
+        f"({scores.cost_source or 'not named'})."
     )
     label = f"{title} [{unit}]" if unit else title
     everyone = set(scores.measured["method"])
@@ -171,8 +172,7 @@ def draw_pareto(plotted: pd.DataFrame, labels: Labels) -> Figure:
     scenes = [*names & {OVERALL}, *single] if len(scenes) > 1 else scenes
     styles = style.line_styles(plotted["method"])
     height = max(HEIGHT, LABEL_DISTANCE * 1.3 * len(styles))
-    lines = [fill(line, CAPTION_LETTERS) for line in labels.caption.splitlines()]
-    caption = "\n".join(lines)
+    caption = style.wrap_lines(labels.caption, CAPTION_LETTERS)
     footer = 1.62 + 0.17 * (caption.count("\n") - 1)  # inches for keys and caption
     figure = Figure(figsize=(WIDTH, height + footer))
     heading = fill(labels.heading, HEADING_LETTERS)

@@ -7,7 +7,6 @@ from __future__ import annotations
 
 from functools import partial
 from pathlib import Path
-from textwrap import fill
 from typing import TYPE_CHECKING, NamedTuple
 
 import pandas as pd
@@ -138,7 +137,7 @@ def draw_pair(measured: pd.DataFrame, printed: pd.DataFrame, axis: Axis, caption
     colour and marker in both panels, and its name at the right of its last point.
     """
     styles = style.line_styles([*measured["method"], *printed["method"]])
-    caption = "\n".join(fill(line, CAPTION_LETTERS) for line in caption.splitlines())
+    caption = style.wrap_lines(caption, CAPTION_LETTERS)
     footer = 0.68 + 0.2 * (caption.count("\n") + 1)  # inches
     figure = Figure(figsize=(WIDTH, HEIGHT + footer))
     left, right = figure.subplots(

@@ -17,7 +17,6 @@ import math
 from collections.abc import Iterator
 from functools import partial
 from pathlib import Path
-from textwrap import fill
 from typing import TYPE_CHECKING, NamedTuple
 
 import pandas as pd
@@ -207,7 +206,7 @@ def draw_event_panels(curves: pd.DataFrame, events: pd.DataFrame, caption: str) 
     """
     clips = list(dict.fromkeys(events["clip"]))[:MAX_PANELS]
     styles = style.line_styles(curves["method"])
-    caption = "\n".join(fill(line, CAPTION_LETTERS) for line in caption.splitlines())
+    caption = style.wrap_lines(caption, CAPTION_LETTERS)
     rows, columns = math.ceil(len(clips) / PANEL_COLUMNS), min(len(clips), PANEL_COLUMNS)
     footer = 0.75 + 0.2 * (caption.count("\n") + 1)
     panel = max(PANEL, LABEL_DISTANCE * 1.45 * len(styles))

@@ -53,6 +53,7 @@ MAP_DRAWS = 1000  # of the bootstrap; the ends of an interval are then stable to
 LONGEST_MS = 10_000.0  # of the horizontal axis
 ROUNDING = 50  # steps a factor e, in which the budgets of compared methods are rounded
 WIDTH, HEIGHT = 11.0, 6.6  # inches; the keys and the caption are in it
+CAPTION_LETTERS = 145  # in a line
 EXHAUSTED = "to the right, no larger\nbudget was measured"
 NOTHING_COLOUR = "#F4F4F4"
 HATCH = "///"
@@ -199,9 +200,9 @@ def _caption(scores: Scores, curves: Sequence[Curve]) -> str:
     missing = "".join(f"\n{line}." for line in methods_without_curve(scores, curves))
     return (
         f"Best mean {score_name(scores.metric)} over scenes, {describe_clips(scores.measured)}. "
-        f"Frame time: G-buffer, as many samples as in the results,\n+ plan + allocate + denoise on "
+        f"Frame time: G-buffer, as many samples as in the results + plan + allocate + denoise on "
         f"{scores.device_name}{at_size} + samples per pixel x cost of a sample. "
-        "Between measured budgets scores\nare linear in log spp; none is extrapolated." + missing
+        "Between measured budgets scores are linear in log spp; none is extrapolated." + missing
     )
 
 
@@ -236,6 +237,7 @@ def draw_winner_map(
     figure = Figure(figsize=(WIDTH, HEIGHT))
     longest = max(len(name) for name in [*visible, "tie or not resolved against"])
     right = 1 - (0.65 + LETTER_INCHES * longest) / WIDTH
+    caption = style.wrap_lines(caption, CAPTION_LETTERS)
     lines = caption.count("\n") + 1
     bottom = (0.75 + 0.2 * lines) / HEIGHT
     axes = figure.add_axes((0.075, bottom, right - 0.075, 0.925 - bottom))

@@ -19,6 +19,7 @@ from rlbench.benchmark.results import (
 VERSION = ["dtype", "code_hash", "weights_hash"]  # one value of each per method in a report
 REASONS = ("inference_ms", "sample_ms")  # the times whose notes give the reasons once
 FEW_METRICS = 2  # that a remark names one by one
+NAMED_SCENES = 8  # that a reason names one by one
 GIVEN_GBUFFER = "given: --gbuffer-ms"  # convention of G-buffer times that do not grow with samples
 REQUESTED = ", requested "  # in a reason, before the budget that a sentence names anyway
 
@@ -172,14 +173,18 @@ def _check_versions(measured: pd.DataFrame) -> None:
 
 
 def skip_reasons(rows: pd.DataFrame) -> list[str]:
-    """What was not measured and why, one sentence for all methods that share place and reason."""
+    """What was not measured and why, one sentence for all methods that share place and reason.
+
+    Many scenes are counted, not named.
+    """
     skipped = rows[rows["value"].isna()]
     reasons = skipped["note"].map(lambda note: note.partition(REQUESTED)[0]).rename("reason")
     methods: dict[str, list[str]] = {}
     for (method, reason), group in skipped.groupby(["method", reasons], sort=True):
-        scenes = ", ".join(sorted({name for name in group["scene"] if name})) or "any scene"
+        scenes = sorted({name for name in group["scene"] if name})
+        named = ", ".join(scenes) if len(scenes) <= NAMED_SCENES else f"{len(scenes)} scenes"
         metrics = ", ".join(sorted(set(group["metric"])))
-        place = f"on {scenes} at {_budgets(group) or 'any'} spp ({metrics}): {reason}"
+        place = f"on {named or 'any scene'} at {_budgets(group) or 'any'} spp ({metrics}): {reason}"
         methods.setdefault(place, []).append(str(method))
     return [f"{', '.join(names)} {place}" for place, names in methods.items()]
 

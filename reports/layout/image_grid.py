@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
-from textwrap import fill
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -69,6 +68,6 @@ def add_colour_bar(
 def add_caption(figure: Figure, caption: str) -> None:
     """Write a caption at the lower edge."""
     letters = int(CAPTION_LETTERS * figure.get_figwidth() / 13.0)
-    text = "\n".join(fill(line, letters) for line in caption.splitlines())
+    text = style.wrap_lines(caption, letters)
     figure.text(0.012, 0.08 / figure.get_figheight(), text, fontsize=10.5, color=style.BLACK,
                 va="bottom")  # fmt: skip

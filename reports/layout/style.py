@@ -106,6 +106,11 @@ def _free_marker(first: int, variant: int, styles: Iterable[LineStyle]) -> tuple
     return marker, min(dashes, key=lambda dash: beside[str(dash)])
 
 
+def wrap_lines(caption: str, letters: int) -> str:
+    """The caption, each of whose lines is broken before it exceeds so many letters."""
+    return "\n".join(fill(line, letters) for line in caption.splitlines())
+
+
 def note_hidden_points(axes: Axes, points: pd.DataFrame, bottom: float) -> None:
     """Name, at the lower edge, the methods with values below `bottom`, each with its lowest.
 

@@ -77,6 +77,10 @@ def test_a_reason_is_listed_once_for_a_method():
     assert analysed.skip_reasons(table) == [
         "restir on city, hall at 0.5 spp (psnr): no restir pool"
     ]
+    many = [replace(skipped, scene=f"generated-{i}") for i in range(48)]
+    assert analysed.skip_reasons(to_dataframe(many)) == [
+        "restir on 48 scenes at 0.5 spp (psnr): no restir pool"
+    ]
 
 
 def test_a_remark_is_listed_once_for_a_method_and_metric_and_is_not_about_times():
