@@ -8,7 +8,7 @@ RESULTS := results
 REPORT := $(RESULTS)/report
 
 # what rules give: memory and density by hand behind a learned denoiser, and `ours` with a density by rule
-RULES := accumulate,accumulate/contrast,accumulate/variance,accumulate/denoised-variance,accumulate/tuned,accumulate/intel,ours/by-rule
+RULES := accumulate,accumulate/contrast,accumulate/variance,accumulate/denoised-variance,accumulate/tuned,accumulate/fast,accumulate/intel,ours/by-rule
 CONTROLS := ours,ours/A2,ours/latent,ours/latent-stateless,ours/latent-by-rule,ours/latent-initial,oidn,oidn/filled,oidn-intel/filled,oidn/tuned,oidn/half,$(RULES)
 
 # the networks of the paper, developed, and their ablations

@@ -100,6 +100,7 @@ FRAMES = {
     **dict.fromkeys(("ours/paper", "ours/paper-A1", "ours/paper-A2", "ours/paper-C"), 43_002),
     **dict.fromkeys(("ours/paper-B1", "ours/paper-B2", "ours/paper-appo"), 2000),
     **dict.fromkeys(("accumulate/tuned", "oidn/tuned"), 21_000),
+    "accumulate/fast": 8004,
     "oidn/retrained": 60_000,
     "ours": 11_004,
 }
@@ -113,8 +114,8 @@ def test_rows_that_are_compared_saw_the_same_frames():
     frames = {path: FRAMES.get(CARDS[path].name, 6000) for path in TRAINED}
     assert {path: CARDS[path].frames_trained for path in TRAINED} == frames
     assert {CARDS[path].seed for path in TRAINED} == {0}
-    averages = {path for path in TRAINED if "training.average" in CARDS[path].command}
-    mixed = {path for path in TRAINED if frames[path] >= 40_000}
+    mixed = {path for path in TRAINED if frames[path] >= 40_000 or frames[path] == 8004}
+    averages = {p for p in TRAINED if "training.average" in CARDS[p].command} - mixed
     for group in (averages, mixed, {*TRAINED} - averages - mixed):
         assert len({tuple(_clips(CARDS[path])) for path in group}) == 1
 
@@ -122,7 +123,8 @@ def test_rows_that_are_compared_saw_the_same_frames():
 def test_a_card_states_when_training_started_from_intel_weights():
     stated = {path for path in TRAINED if CARDS[path].origin.startswith("Intel's weights")}
     ours = {p for p in TRAINED if p.parts[-3] == "ours" and not p.stem.startswith("paper")}
-    assert stated == ours | {path for path in TRAINED if path.stem in ("tuned", "restir+oidn")}
+    others = ("tuned", "fast", "restir+oidn")
+    assert stated == ours | {path for path in TRAINED if path.stem in others}
 
 
 ADAPTIVE = [

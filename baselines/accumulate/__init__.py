@@ -38,6 +38,9 @@ FAMILY = Family(
             ADAPTIVE,
             weights_from="oidn",
         ),
+        "fast": Variant(
+            "Is Intel's small network enough, trained on accumulated light? (contrast)", ADAPTIVE
+        ),
     },
     build="baselines.accumulate.method:build",
     train="baselines.accumulate.train:training_task",

@@ -33,6 +33,7 @@ from rlbench.ops.exposure import autoexposure
 from rlbench.ops.reprojection import ReprojectionMemo
 from rlbench.ops.transfer import log_forward, log_inverse
 from rlbench.ops.unet import UNet
+from rlbench.ops.unet_widths import BASE_WIDTHS, FAST_WIDTHS, UNetWidths
 from rlbench.weights import load_for_inference
 
 CARDS = Path(__file__).parent / "cards"
@@ -47,6 +48,7 @@ class Config:
     """What distinguishes the variants."""
 
     density: str = ""  # a name in DENSITY_RULES; empty: uniform
+    widths: UNetWidths = BASE_WIDTHS  # channels of each convolution
 
 
 VARIANTS = {
@@ -56,6 +58,7 @@ VARIANTS = {
     "denoised-variance": Config(density="denoised deviation"),
     "tuned": Config(density="contrast"),
     "intel": Config(density="contrast"),
+    "fast": Config(density="contrast", widths=FAST_WIDTHS),
 }
 
 
@@ -120,11 +123,11 @@ class Accumulate:
 
 def build(variant: str, device: torch.device, weights: str | None) -> Accumulate:
     """The control with pretrained weights (None), those of a file (its path), or "random" ones."""
-    declared = FAMILY.variants[variant]
-    network = UNet(INPUT_CHANNELS)
+    config, declared = VARIANTS[variant], FAMILY.variants[variant]
+    network = UNet(INPUT_CHANNELS, widths=config.widths)
     cards = OIDN_CARDS if declared.weights_from else CARDS
     load_for_inference(network, weights, cards / FAMILY.weights_file(variant), device)
-    return Accumulate(VARIANTS[variant], declared.traits, network)
+    return Accumulate(config, declared.traits, network)
 
 
 def _update_change(

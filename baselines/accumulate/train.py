@@ -14,11 +14,11 @@ from rlbench.training.task import TrainingTask
 
 
 def training_task(variant: str, device: torch.device, seed: int) -> TrainingTask:
-    """Intel's network, and the loss of its image after accumulation and blending.
+    """Intel's network, of the variant's widths, and the loss of its image after blending.
 
     Loss, learning rate, budgets and start are those of `ours`.
     """
-    network, origin = published_network()
-    traits = FAMILY.variants[variant].traits
-    method = Accumulate(VARIANTS[variant], traits, network.to(device), decode=to_signed_radiance)
+    config, traits = VARIANTS[variant], FAMILY.variants[variant].traits
+    network, origin = published_network(config.widths)
+    method = Accumulate(config, traits, network.to(device), decode=to_signed_radiance)
     return recurrent_task(method, network, partial(frame_losses, DetachedState(method)), origin)

@@ -89,8 +89,8 @@ class Oidn:
     """Open Image Denoise (Afra 2019): its ray-tracing filter for HDR with albedo and normal.
 
     U-Net, transfer function and exposure are those of its training toolkit. The weights of `oidn`
-    and `oidn/fast` are Intel's; `oidn/retrained` and `oidn/retrained-small` are trained on the same
-    frames as every other method here, and `oidn/tuned` too, from Intel's weights. Uniform sampling,
+    and `oidn/fast` are Intel's; `oidn/retrained` is trained on our clips from random weights,
+    `oidn/tuned` from Intel's. Uniform sampling,
     frames are independent. With Intel's weights the image equals the library's within 1e-4 of each
     value if the sides are multiples of 16. Differs from OIDN: images are padded to a multiple of 16
     by repeating the border, not with zeros, and fireflies are limited

@@ -577,11 +577,11 @@ def test_a_clip_with_another_sample_time_is_timed_again(tmp_path):
 
 @pytest.mark.parametrize(("name", "trained"), [("generated-001", True), ("generated-x", False)])
 def test_a_score_on_a_training_clip_has_a_note_that_it_is_no_test(tmp_path, name, trained):
-    plan = run_plan(write_noise(tmp_path / name), "oidn/retrained-small", "mean", limit_frames=1)
+    plan = run_plan(write_noise(tmp_path / name), "oidn/tuned", "mean", limit_frames=1)
     measure_scores(plan, tmp_path / "r")
     rows = table.read(tmp_path / "r")
     remark = "no test: its weights were trained on generated-001"
-    learned = rows[(rows["metric"] == "psnr") & (rows["method"] == "oidn/retrained-small")]
+    learned = rows[(rows["metric"] == "psnr") & (rows["method"] == "oidn/tuned")]
     assert set(learned["note"]) == ({remark} if trained else {""})
     assert remark not in set(rows[rows["method"] == "mean"]["note"])
 
