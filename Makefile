@@ -15,7 +15,7 @@ CONTROLS := ours,ours/A2,ours/latent,ours/latent-stateless,ours/latent-by-rule,o
 LATENT := ours/latent,ours/latent-A1,ours/latent-A2,ours/latent-B1,ours/latent-B2,ours/latent-C,ours/latent-small,ours/latent-stateless,ours/latent-by-rule,ours/latent-flat,ours/latent-initial
 
 # the paper's recipe and its ablations
-PAPER := ours/paper,ours/paper-appo,ours/paper-A1,ours/paper-A2,ours/paper-B1,ours/paper-B2,ours/paper-C
+PAPER := ours/paper,ours/paper-appo,ours/paper-A1,ours/paper-A2,ours/paper-flat,ours/paper-B1,ours/paper-B2,ours/paper-C
 
 # pairs of rows that differ in what the paper claims, by our recipe and by the paper's
 CLAIMED := ours,ours/A1,ours/A2,$(LATENT),$(PAPER)

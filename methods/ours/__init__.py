@@ -260,6 +260,13 @@ ROWS = {
     "paper-A2": _paper(
         "is adaptive sampling worth its time? (uniform sampling)", UNIFORM, sampler=()
     ),
+    "paper-flat": _row(
+        "In the paper's recipe, what does the density map itself give? (sampled uniformly)",
+        PAPER,
+        UNIFORM,
+        weights_from="ours/paper",
+        ignore_density=True,
+    ),
     "paper-B1": _paper(
         "does the encoder pay? (the sampler reads the last samples)", **LAST_SAMPLES
     ),
