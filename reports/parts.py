@@ -34,6 +34,7 @@ PARTS = {  # row: what BASE has and the row lacks, or has in its place
     "accumulate/tuned": "the correction; a denoiser that reads last image and statistics",
     "accumulate/contrast": "these, and a denoiser that knows accumulated light",
     "accumulate/intel": "all that was trained here",
+    "accumulate/fast": "the correction; two thirds of the denoiser's parameters",
     "ours/latent": "nothing: this row adds encoder and latent state",
     "oidn/tuned": "memory and density",
     "oidn-intel": "memory, density, and tuning",
