@@ -1,4 +1,4 @@
-"""A plugin: `accumulate/tuned` with more history for its network, started as that row starts.
+"""A plugin: `accumulate/tuned` with more history for its network, started from its weights.
 
 A pixel takes 93 k multiply-adds (control) to 101 k (splat), and 60 bytes of state or 64 (two, all).
 
@@ -28,10 +28,9 @@ from baselines.accumulate.memory import (
     reproject_memory,
     share_by_spp,
 )
-from baselines.accumulate.method import BLEND, Decode
+from baselines.accumulate.method import BLEND, CARDS, Decode
 from baselines.oidn.method import (
     INPUT_CHANNELS,
-    published_network,
     run_network,
     to_radiance,
     to_signed_radiance,
@@ -52,7 +51,7 @@ from rlbench.ops.sanitize import repair_history
 from rlbench.ops.transfer import log_forward, log_inverse, pu_forward
 from rlbench.ops.unet import UNet
 from rlbench.training.task import TrainingTask
-from rlbench.weights import load_for_inference
+from rlbench.weights import load_for_inference, load_into
 
 SHORT, LONG = 0.5, 0.95  # largest weights of the old light in a frame
 TAPS = 25  # of the kernel that splats the last image
@@ -230,9 +229,9 @@ def build(variant: str, device: torch.device, weights: str | None) -> Histories:
 
 
 def training_task(variant: str, device: torch.device, seed: int) -> TrainingTask:
-    """Loss, rate, budgets and start of `accumulate/tuned`; new inputs start without effect."""
-    config = VARIANTS[variant]
-    source, origin = published_network()
+    """Loss, rate and budgets of `accumulate/tuned`, and its weights: new inputs have no effect."""
+    config, source = VARIANTS[variant], UNet(INPUT_CHANNELS)
+    card = load_into(source, CARDS / "tuned.safetensors")
     network = UNet(config.inputs, config.outputs)
     with torch.no_grad():
         widen(network, source)
@@ -249,7 +248,7 @@ def training_task(variant: str, device: torch.device, seed: int) -> TrainingTask
         yield torch.stack(list(frame_losses(method, clip, spp))).mean()
 
     losses = through if config.through else partial(frame_losses, DetachedState(method))
-    return recurrent_task(method, network, losses, origin)
+    return recurrent_task(method, network, losses, f"{card.name}, from {card.origin}")
 
 
 FAMILY = Family(
