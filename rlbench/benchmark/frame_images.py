@@ -33,6 +33,7 @@ if TYPE_CHECKING:
 NONFINITE_COLOUR = (255, 0, 255)  # of NaN and infinite pixels, which a display would hide
 MAX_ERROR = 0.25  # end of the error scale: mean over channels, in units of display white
 DIFFERENCE_PERCENTILE = 98  # of the sizes of differences, at the ends of their scale
+MOST_TICKS = 5  # intervals between numbers of a colour bar
 PANEL_INCHES, TITLE_INCHES = 2.6, 0.25  # width of a panel, and height of the line above it
 DPI = 150
 
@@ -283,8 +284,8 @@ def _draw_differences(
         if i == best:
             _write(axes, "the best: others minus this")
             continue
-        title = f"squared error minus that of {methods[best].row_name}"
         difference = errors[i] - errors[best]
+        title = f"minus {methods[best].row_name}"
         drawn = _panel(axes, difference, title, cmap="RdBu_r", vmin=-limit, vmax=limit)
     _color_bar(row[0], drawn, "difference of squared error in sRGB,\nmean over channels", "both")
 
@@ -317,7 +318,12 @@ def _panel(axes: Axes, values: Array, title: str, **style: Any) -> AxesImage:
 
 def _color_bar(axes: Axes, drawn: AxesImage, label: str, extend: str) -> None:
     """The scale of a row, in the column of the reference."""
+    from matplotlib.ticker import MaxNLocator
+
     inset = axes.inset_axes((0.1, 0.5, 0.8, 0.05))
-    bar = axes.figure.colorbar(drawn, cax=inset, orientation="horizontal", extend=extend)
+    ticks = MaxNLocator(MOST_TICKS)
+    bar = axes.figure.colorbar(
+        drawn, cax=inset, orientation="horizontal", extend=extend, ticks=ticks
+    )
     bar.set_label(label, fontsize=8)
     inset.tick_params(labelsize=7)
