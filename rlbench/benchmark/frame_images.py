@@ -33,7 +33,8 @@ if TYPE_CHECKING:
 NONFINITE_COLOUR = (255, 0, 255)  # of NaN and infinite pixels, which a display would hide
 MAX_ERROR = 0.25  # end of the error scale: mean over channels, in units of display white
 DIFFERENCE_PERCENTILE = 98  # of the sizes of differences, at the ends of their scale
-MOST_TICKS = 5  # intervals between numbers of a colour bar
+COUNTS = "samples per pixel"
+MOST_TICKS = 4  # intervals between numbers of a colour bar
 PANEL_INCHES, TITLE_INCHES = 2.6, 0.25  # width of a panel, and height of the line above it
 DPI = 150
 
@@ -301,9 +302,9 @@ def _draw_counts(row: Sequence[Axes], methods: Sequence[MethodImage]) -> None:
         if not _is_adaptive(method):
             _write(axes, f"uniform: {method.counts.mean():.3g} spp")
             continue
-        title = f"{method.counts.min()} to {method.counts.max()} samples per pixel"
+        title = f"{method.counts.min()} to {method.counts.max()} {COUNTS}"
         drawn = _panel(axes, method.counts, title, cmap="viridis", vmin=0, vmax=most)
-    _color_bar(row[0], drawn, "samples per pixel", "neither")
+    _color_bar(row[0], drawn, COUNTS, "neither")
 
 
 def _write(axes: Axes, text: str) -> None:
@@ -321,7 +322,7 @@ def _color_bar(axes: Axes, drawn: AxesImage, label: str, extend: str) -> None:
     from matplotlib.ticker import MaxNLocator
 
     inset = axes.inset_axes((0.1, 0.5, 0.8, 0.05))
-    ticks = MaxNLocator(MOST_TICKS)
+    ticks = MaxNLocator(MOST_TICKS, integer=label == COUNTS)
     bar = axes.figure.colorbar(
         drawn, cax=inset, orientation="horizontal", extend=extend, ticks=ticks
     )
