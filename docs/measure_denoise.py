@@ -24,7 +24,7 @@ from rlbench.method import Method
 from rlbench.ops.color import encode_srgb
 from rlbench.system.paths import cache_folder
 
-ROWS = ("oidn", "accumulate/tuned", "accumulate/intel")
+ROWS = ("oidn", "accumulate/fast", "accumulate/tuned", "accumulate/intel")
 SPP = (4, 16, 64)
 FILE = Path(__file__).parent / "results" / "denoise.csv"
 

@@ -38,7 +38,7 @@ __all__ = [
     "replace_leaves",
 ]
 
-DEFAULT_METHOD = "accumulate/tuned"
+DEFAULT_METHOD = "accumulate/intel"
 MAX_SLOTS = 8  # of the largest pool that methods were trained with
 Leaf = Tensor | bool | int | float | str | None
 

@@ -12,6 +12,7 @@ from baselines.accumulate.memory import share_by_spp
 from rlbench import registry
 from rlbench.checks.tensors import is_bit_equal
 from rlbench.denoise import (
+    DEFAULT_METHOD,
     DenoiseError,
     check_denoises_means,
     denoise_frame,
@@ -88,7 +89,7 @@ def test_history_weighs_less_the_more_samples_a_frame_has():
 
 @pytest.mark.parametrize("name", ["ours/paper", "restir"])
 def test_a_method_that_needs_each_sample_is_refused(name):
-    with pytest.raises(DenoiseError, match="accumulate/tuned"):
+    with pytest.raises(DenoiseError, match=DEFAULT_METHOD):
         check_denoises_means(name)
 
 

@@ -23,7 +23,7 @@ def denoise(
     method: Annotated[
         str,
         option(METHODS, "the row", "--method", "-m", value="NAME", complete=complete_methods),
-    ] = "accumulate/tuned",
+    ] = "accumulate/intel",
     layout: Annotated[
         str,
         option(
@@ -75,7 +75,7 @@ def denoise(
 
     \b
       rlbench denoise render/ -o denoised/
-      rlbench denoise render/ -m accumulate/intel --layout engine.toml --spp 64 -o denoised/
+      rlbench denoise render/ -m accumulate/tuned --layout engine.toml --spp 4 -o denoised/
       rlbench denoise still.exr -m oidn -o denoised/
     """
     load_plugins(plugin)
@@ -132,7 +132,8 @@ def _notes(method: str, spp: float) -> list[str]:
     notes = []
     if variant.traits.adaptive:
         notes.append(f"{method} places samples; here it takes the same number in every pixel")
-    if variant.learned and not variant.trained_by and spp > MAX_SLOTS:
+    trained = registry.get_variant(variant.weights_from or method)
+    if variant.learned and not trained.trained_by and spp > MAX_SLOTS:
         notes.append(
             f"{method} was trained up to {MAX_SLOTS} spp, and these are {spp:g}; "
             "accumulate/intel has the weights of Open Image Denoise, which saw all"

@@ -24,8 +24,14 @@ def test_a_shot_is_denoised_once(render, tmp_path):
     assert "2 frames denoised" in first
     assert "same number in every pixel" in first
     assert "accumulate/intel" in first  # more samples than it was trained on
-    assert "0 frames denoised by accumulate/tuned, 2 were there" in rlbench(*words)
+    assert "0 frames denoised by accumulate/tuned, 2" in rlbench(*words, "-m", "accumulate/tuned")
     assert len(list(tmp_path.glob("*.exr"))) == 2
+
+
+def test_the_default_row_was_trained_at_any_number_of_samples(render, tmp_path):
+    output = rlbench("denoise", render, "--spp", 64, "--out", tmp_path)
+    assert "2 frames denoised by accumulate/intel" in output
+    assert "trained up to" not in output
 
 
 def test_one_image_by_a_row_without_memory(render, tmp_path):
