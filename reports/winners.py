@@ -60,6 +60,7 @@ HATCH = "///"
 LIGHTEST = 0.68  # share of white in the colour of a family's last variant; the first has none
 RATES = {"120 Hz": 1000 / 120, "60 Hz": 1000 / 60, "30 Hz": 1000 / 30, "10 Hz": 100, "1 Hz": 1000}
 LABEL_INCHES = 0.13  # of the radius of the largest circle in a region, from which it is labelled
+BOLD_LETTER_INCHES = 0.115  # of a name in a region
 LETTER_INCHES = 0.088  # in the key
 
 
@@ -335,6 +336,11 @@ def _label_regions(axes: Axes, winners: WinnerMap, colours: dict[str, Any]) -> N
         radius, row, column = flat if is_flat else upright
         if radius < LABEL_INCHES:
             continue
+        reach = BOLD_LETTER_INCHES / 2 * len(name)  # the name must not leave the axes
+        if is_flat:
+            column = _keep_inside(column, reach / cell[1], columns)
+        else:
+            row = _keep_inside(row, reach / cell[0], rows)
         colour = colours.get(name, to_rgb(NOTHING_COLOUR))
         is_dark = math.sqrt(np.dot(np.square(colour), (0.299, 0.587, 0.114))) < 0.62
         axes.text(
@@ -344,6 +350,11 @@ def _label_regions(axes: Axes, winners: WinnerMap, colours: dict[str, Any]) -> N
             rotation=0 if is_flat else 90,
             path_effects=[withStroke(linewidth=3.5, foreground=colour)],
         )  # fmt: skip
+
+
+def _keep_inside(position: int, reach: float, length: int) -> int:
+    """The position nearest to a given one that is `reach` away from both ends."""
+    return int(np.clip(position, math.ceil(reach), max(length - 1 - math.ceil(reach), 0)))
 
 
 def _widest_place(inside: NDArray[np.bool_], cell: tuple[float, float]) -> tuple[float, int, int]:
