@@ -90,11 +90,10 @@ class Oidn:
 
     U-Net, transfer function and exposure are those of its training toolkit. The weights of `oidn`
     and `oidn/fast` are Intel's; `oidn/retrained` is trained on our clips from random weights,
-    `oidn/tuned` from Intel's. Uniform sampling,
-    frames are independent. With Intel's weights the image equals the library's within 1e-4 of each
-    value if the sides are multiples of 16. Differs from OIDN: images are padded to a multiple of 16
-    by repeating the border, not with zeros, and fireflies are limited
-    (rlbench.ops.limit_fireflies), which OIDN leaves to the renderer.
+    `oidn/tuned` from Intel's. Uniform sampling, frames are independent. With Intel's weights the
+    image equals the library's within 1e-4 of each value if the sides are multiples of 16. Differs
+    from OIDN: images are padded to a multiple of 16 by repeating the border, not with zeros, and
+    fireflies are limited (rlbench.ops.limit_fireflies), which OIDN leaves to the renderer.
     """
 
     network: nn.Module  # 9 channels to 3, in transfer space

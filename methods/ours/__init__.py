@@ -260,9 +260,8 @@ ROWS = {
     "paper-A2": _paper(
         "is adaptive sampling worth its time? (uniform sampling)", UNIFORM, sampler=()
     ),
-    "paper-flat": _row(
-        "In the paper's recipe, what does the density map itself give? (sampled uniformly)",
-        PAPER,
+    "paper-flat": _paper(
+        "what does the density map itself give? (sampled uniformly)",
         UNIFORM,
         weights_from="ours/paper",
         ignore_density=True,

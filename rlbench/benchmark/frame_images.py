@@ -33,7 +33,6 @@ if TYPE_CHECKING:
 NONFINITE_COLOUR = (255, 0, 255)  # of NaN and infinite pixels, which a display would hide
 MAX_ERROR = 0.25  # end of the error scale: mean over channels, in units of display white
 DIFFERENCE_PERCENTILE = 98  # of the sizes of differences, at the ends of their scale
-COUNTS = "samples per pixel"
 MOST_TICKS = 4  # intervals between numbers of a colour bar
 PANEL_INCHES, TITLE_INCHES = 2.6, 0.25  # width of a panel, and height of the line above it
 DPI = 150
@@ -302,9 +301,9 @@ def _draw_counts(row: Sequence[Axes], methods: Sequence[MethodImage]) -> None:
         if not _is_adaptive(method):
             _write(axes, f"uniform: {method.counts.mean():.3g} spp")
             continue
-        title = f"{method.counts.min()} to {method.counts.max()} {COUNTS}"
+        title = f"{method.counts.min()} to {method.counts.max()} samples per pixel"
         drawn = _panel(axes, method.counts, title, cmap="viridis", vmin=0, vmax=most)
-    _color_bar(row[0], drawn, COUNTS, "neither")
+    _color_bar(row[0], drawn, "samples per pixel", "neither", integer=True)
 
 
 def _write(axes: Axes, text: str) -> None:
@@ -317,12 +316,14 @@ def _panel(axes: Axes, values: Array, title: str, **style: Any) -> AxesImage:
     return axes.imshow(values, interpolation="nearest", **style)
 
 
-def _color_bar(axes: Axes, drawn: AxesImage, label: str, extend: str) -> None:
-    """The scale of a row, in the column of the reference."""
+def _color_bar(
+    axes: Axes, drawn: AxesImage, label: str, extend: str, integer: bool = False
+) -> None:
+    """The scale of a row, in the column of the reference; `integer`: only whole numbers on it."""
     from matplotlib.ticker import MaxNLocator
 
     inset = axes.inset_axes((0.1, 0.5, 0.8, 0.05))
-    ticks = MaxNLocator(MOST_TICKS, integer=label == COUNTS)
+    ticks = MaxNLocator(MOST_TICKS, integer=integer)
     bar = axes.figure.colorbar(
         drawn, cax=inset, orientation="horizontal", extend=extend, ticks=ticks
     )
