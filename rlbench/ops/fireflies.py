@@ -79,13 +79,14 @@ def _limit(radiance: Tensor, counts: Tensor) -> tuple[Tensor, Tensor]:
     limit = CONTRAST * brightest[pixels].view(-1, 1, 1, 1, 1)
     side = 2 * radius + 1
     sums = [box_mean(x, side, "constant") for x in (torch.minimum(light, brightest), known.float())]
-    window = sums[0] / sums[1]  # at least one sample where there is a suspect
-    replacement = window[pixels].view(-1, 1, 1, 1, 1)
+    light_around, known_around = (each[pixels].view(-1, 1, 1, 1, 1) for each in sums)
+    replacement = light_around / known_around  # at least one sample where there is a suspect
     samples = radiance.movedim((3, 4), (1, 2))[image, y, x][..., None, None]  # k s 3 1 1
     value = luminance(samples)
     excess = (value / limit).clamp_min(1)
     dimmed = replacement + (limit - replacement) * excess.pow(-FALLOFF)
-    limited = torch.where(excess > 1, samples * (dimmed / value.clamp_min(1e-30)), samples)
+    divisor = value.where(excess > 1, 1.0)  # black samples would make the gradient 0 / 0
+    limited = torch.where(excess > 1, samples * (dimmed / divisor), samples)
     radiance, mean = radiance.clone(), mean.clone()
     radiance.movedim((3, 4), (1, 2))[image, y, x] = limited[..., 0, 0]
     mean[pixels] = limited.sum(1)[..., 0, 0] / counts[pixels].clamp_min(1)

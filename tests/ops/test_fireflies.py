@@ -204,3 +204,18 @@ def test_an_image_in_a_batch_is_limited_as_alone():
     together = limit_fireflies(radiance, counts)
     alone = [limit_fireflies(radiance[i : i + 1], counts[i : i + 1]) for i in range(2)]
     assert torch.equal(together, torch.cat(alone))
+
+
+def test_gradients_are_finite_beside_empty_slots_and_windows_without_samples():
+    radiance, counts = noisy(), COUNTS.clone()
+    counts[..., SIDE // 2 :] = 0  # as wide as no window
+    counts[..., 3, 3] = 1
+    slots = torch.arange(SPP).view(1, -1, 1, 1)
+    radiance = (radiance * (slots < counts)[:, :, None]).requires_grad_()
+    outlier = torch.zeros_like(radiance)
+    outlier[0, 0, :, 3, 3] = 1e6
+    limit_fireflies(radiance + outlier, counts).square().sum().backward()
+    gradient = radiance.grad
+    assert gradient is not None
+    assert gradient.isfinite().all()
+    assert (gradient[0, 0, :, 3, 4] != 0).all()
