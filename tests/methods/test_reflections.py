@@ -27,7 +27,7 @@ def tracer_that_moves(material):
     return tracer
 
 
-def test_a_wall_in_a_mirror_moves_as_a_wall_behind_the_mirror(variant):
+def test_a_wall_in_a_mirror_moves_as_a_wall_behind_the_mirror():
     # the mirror's plane y = x + 4 turns the wall x = 3 into the wall y = 7
     motion, is_mirror = virtual_motion(tracer_that_moves(MIRROR))
     pixel = 2 * math.tan(math.radians(5)) / SIZE
@@ -37,7 +37,7 @@ def test_a_wall_in_a_mirror_moves_as_a_wall_behind_the_mirror(variant):
     np.testing.assert_allclose(motion[..., 1], 0, atol=1e-6)
 
 
-def test_a_rough_surface_shows_nothing_behind_it(variant):
+def test_a_rough_surface_shows_nothing_behind_it():
     assert not virtual_motion(tracer_that_moves(diffuse(0.5, 0.5, 0.5)))[1].any()
 
 
