@@ -145,15 +145,15 @@ def measure_clip(method: Method, job: Job, budgets: list[float]) -> Iterator[dic
 def mean_psnr(method: Method, clip: Clip, masks: list[Tensor], spp: float) -> tuple[float, float]:
     """Mean PSNR of the frames of a clip in clipped sRGB, dB: of all pixels, and of the masks'."""
     psnr = registry.load_plugin("metrics", "psnr")
-    whole, inside = [], []
+    overall, in_mirrors = [], []
     for result, mask in zip(run_clip(method, clip, spp), masks, strict=True):
         reference = result.frame.reference
         compared = psnr.compare(result.image, reference.half_a, reference.half_b)
         error = compared.display_error.square().mean(1, keepdim=True)
-        whole.append(-10 * float(error.mean().log10()))
+        overall.append(-10 * float(error.mean().log10()))
         if mask.any():
-            inside.append(-10 * float(error[mask].mean().log10()))
-    return fmean(whole), fmean(inside)
+            in_mirrors.append(-10 * float(error[mask].mean().log10()))
+    return fmean(overall), fmean(in_mirrors)
 
 
 def main() -> None:
