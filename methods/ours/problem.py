@@ -83,10 +83,10 @@ class FrameProblem:
     def relaxed_counts(self, action: Float[Tensor, "n 1 h w"]) -> Float[Tensor, "n 1 h w"]:
         """Samples per pixel before rounding."""
         density = self._density(action)
+        highest = density.detach().amax((2, 3), keepdim=True)
+        relative = torch.where(highest > 0, density / highest.where(highest > 0, 1.0), 1.0)
         low = torch.full_like(density, self.min_samples)
-        return relaxed_counts(
-            density / density.detach().amax((2, 3), keepdim=True), self.spp, low, self.max_samples
-        )
+        return relaxed_counts(relative, self.spp, low, self.max_samples)
 
     def draw_counts(self, action: Float[Tensor, "n 1 h w"]) -> Int[Tensor, "n 1 h w"]:
         """Relaxed counts rounded at random, at the exact budget."""

@@ -5,6 +5,7 @@ from __future__ import annotations
 import importlib.util
 import itertools
 import sys
+from collections.abc import Callable
 from dataclasses import replace
 
 import pytest
@@ -42,6 +43,7 @@ from methods.ours.policy import (
     make_learner,
 )
 from methods.ours.policy.critic import make_critic_learner
+from methods.ours.policy.learner import AllocationProblem
 from methods.ours.policy.sample_gradients import kuznetsov_gradient_per_sample
 from rlbench.frames import Frame, GBuffer, Reference, Samples
 from rlbench.sampling import allocate_counts
@@ -120,14 +122,25 @@ def test_every_learner_finds_a_known_optimum(name):
 
 @pytest.mark.parametrize("spp", [0.5, 1, 4])
 def test_both_gradients_add_up_from_one_sample_per_pixel_on(spp):
-    def gradient(learner: SamplerLearner) -> Tensor:
+    def gradient(loss: Callable[[AllocationProblem], Tensor]) -> Tensor:
         problem = toy_problem(spp=spp)
-        learner.loss(problem, torch.Generator().manual_seed(0)).backward()
+        loss(problem).backward()
         return problem.sampler.free.grad
 
-    reinforce, surrogate = single_pixels(), make_learner("surrogate", CHANNELS)
-    expected = gradient(reinforce) + (gradient(surrogate) if spp >= 1 else 0)
-    torch.testing.assert_close(gradient(CombinedLearner(reinforce)), expected)
+    def policy_gradient(learner: SamplerLearner) -> Tensor:
+        return gradient(lambda problem: learner.loss(problem, torch.Generator().manual_seed(0)))
+
+    surrogate = gradient(lambda problem: problem.surrogate_loss(kuznetsov_gradient_per_sample))
+    expected = policy_gradient(single_pixels()) + (surrogate if spp >= 1 else 0)
+    torch.testing.assert_close(policy_gradient(CombinedLearner(single_pixels())), expected)
+
+
+def test_the_surrogate_learner_pulls_a_common_action_back():
+    problem = toy_problem(spp=2)
+    with torch.no_grad():
+        problem.sampler.free.add_(1.0)  # the budget cancels it
+    make_learner("surrogate", CHANNELS).loss(problem, torch.Generator()).backward()
+    assert problem.sampler.free.grad.mean() > 0
 
 
 @pytest.mark.slow

@@ -84,6 +84,15 @@ def test_a_gradient_reaches_the_sampler(sample_gradient):
     assert sampler.last.weight.grad.abs().max() > 0
 
 
+def test_a_density_of_zeros_is_uniform_and_has_a_finite_gradient():
+    problem = second_frame("paper-A1")
+    action = torch.full((1, 1, 32, 48), -1.0, requires_grad=True)
+    relaxed = problem.relaxed_counts(action)
+    torch.testing.assert_close(relaxed, torch.full_like(relaxed, problem.spp))
+    relaxed[..., 0].sum().backward()
+    assert action.grad.eq(0).all()
+
+
 @pytest.mark.parametrize("variant", ["A1", "latent-A1"])
 @pytest.mark.parametrize("name", LEARNERS)
 def test_every_learner_moves_the_sampler_of_ours_and_only_by_finite_steps(name, variant):
