@@ -2,7 +2,7 @@
 
 A table stands between `<!-- table: SOURCE -->` and `<!-- /table -->`. SOURCE is one of:
 
-- `results/parts.md#First frame`: the table under that heading of a page of results
+- `results/unseen.md#First frame`: the table under that heading of a page of results
 - `families`: every family, its paper and its licence
 - `rows PATTERN,...`: rows such as `ours/latent*`, their questions and weights
 - `scores ROW,...`: PSNR of rows on `mini` and on `real`
