@@ -27,11 +27,8 @@ BUDGETS := 0.01,0.1,0.3,0.5,1,2,4
 # published denoisers, with their own history and with that of ours
 PUBLISHED := imcd,imcd/history,ntas,ntas/history,nppd,nppd/history,svgf,oidn/retrained
 
-# rules, learning and what both are compared with, on every preset of many clips
-COMPARED := $(CONTROLS),ours/A1,ours/latent-A2,oidn-intel,ours/paper
-
-# rows of the page of unseen scenes
-UNSEEN := $(COMPARED),$(PUBLISHED)
+# rows of the page of unseen scenes: rules, learning and what both are compared with
+UNSEEN := $(CONTROLS),ours/A1,ours/latent-A2,oidn-intel,ours/paper,$(PUBLISHED)
 
 # the nearest rivals
 RIVALS := ours,ours/A1,ours/A2,ours/latent,ours/latent-A2,oidn/tuned,oidn-intel,accumulate/contrast,accumulate/tuned,ours/by-rule
@@ -136,7 +133,7 @@ overhead: .venv/dev.stamp
 
 # comparison with static cameras, cuts, switched lights and static scenes: half an hour of rendering, as long for scoring
 takes: .venv/dev.stamp
-	$(BIN)/rlbench run -m '$(COMPARED),ours/lag,$(PUBLISHED)' --preset takes --spp 0.5,1,2,4 --scores-only --out $(RESULTS)/takes
+	$(BIN)/rlbench run -m '$(TAKES)' --preset takes --spp 0.5,1,2,4 --scores-only --out $(RESULTS)/takes
 	$(call page,clips -m '$(TAKES)',$(RESULTS)/takes,takes)
 
 # scenes by others: does the order of our presets hold, and who paints blotches on walls
