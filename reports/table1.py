@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -43,14 +44,23 @@ WARNING = (
 )
 
 
-def write(results: pd.DataFrame, folder: Path, name: str = "table1") -> list[Path]:
-    """Write the page, see `write_report`; without a method of the paper MissingRowsError."""
+def write(
+    results: pd.DataFrame,
+    folder: Path,
+    name: str = "table1",
+    trained: Mapping[str, int] | None = None,
+) -> list[Path]:
+    """Write the page, see `write_report`; without a method of the paper MissingRowsError.
+
+    `trained` is the number of frames that weights were trained on, by method; None leaves its
+    column out.
+    """
     title = f"Table 1 of {published().title}, measured again"
     missing = no_published_rows(results)
-    return write_report(results, folder, name, title, _section, missing)
+    return write_report(results, folder, name, title, partial(_section, trained=trained), missing)
 
 
-def _section(everything: Scores) -> Section | None:
+def _section(everything: Scores, trained: Mapping[str, int] | None) -> Section | None:
     rows = everything.rows
     # rows with a label ran with other weights or in another precision
     scores = replace(everything, rows=rows[rows["method"].map(label_of) == ""])
@@ -76,7 +86,7 @@ def _section(everything: Scores) -> Section | None:
         "Unreliable times": scores.unreliable_times,
         "Remarks": everything.remarks,
     }
-    return Section(scores.device, [_table(scores, records)], records, lists)
+    return Section(scores.device, [_table(scores, records, trained)], records, lists)
 
 
 def compare_with_paper(scores: Scores) -> pd.DataFrame:
@@ -110,7 +120,7 @@ def compare_with_paper(scores: Scores) -> pd.DataFrame:
     return correct_by_holm(pd.DataFrame(records)) if records else pd.DataFrame()
 
 
-def _table(scores: Scores, records: pd.DataFrame) -> Table:
+def _table(scores: Scores, records: pd.DataFrame, trained: Mapping[str, int] | None) -> Table:
     paper = published()
     budgets = sorted(set(records["target_spp"]))
     cells = {(row["method"], row["target_spp"]): row for row in records.to_dict("records")}
@@ -122,6 +132,7 @@ def _table(scores: Scores, records: pd.DataFrame) -> Table:
             method,
             *(format_number(psnr.get((method, spp), math.nan), ".2f") for spp in budgets),
             *_difference_and_time(cells.get((method, paper.spp))),
+            *([] if trained is None else [_format_frames(trained.get(method, 0))]),
             *_published_cells(method),
         )
         for method in [row for row in order if row in methods] + sorted(methods - set(order))
@@ -131,6 +142,7 @@ def _table(scores: Scores, records: pd.DataFrame) -> Table:
         *(f"{spp:g} spp" for spp in budgets),
         f"minus {BASE} at {paper.spp:g} spp",
         "inference ms",
+        *([] if trained is None else ["frames trained"]),
         f"paper, {paper.spp:g} spp",
         f"paper, minus {PAPER_BASE}",
         "paper, ms",
@@ -149,6 +161,10 @@ def _difference_and_time(row: Record | None) -> tuple[str, str]:
         return "-", "-"
     gap: str = "-" if pd.isna(row["difference"]) else format_difference(row)
     return gap, format_ms(row["inference_ms"], row["unreliable"])
+
+
+def _format_frames(frames: int) -> str:
+    return f"{frames:,}" if frames else "-"
 
 
 def _published_cells(method: str) -> tuple[str, str, str]:

@@ -135,7 +135,7 @@ class CellIds:
         content = "random" if variant.learned else ""
         if file is not None:
             content = f"{HELD_OUT_PREFIX}{held_out} " if held_out else ""
-            content += _hash_file(file)
+            content += hash_file(file)
         parts = content, provenance.package_versions(variant.requires)
         return ", ".join(filter(None, parts))
 
@@ -168,7 +168,7 @@ def _short_hash(content: object) -> str:
     return sha256(repr(content).encode()).hexdigest()[:16]
 
 
-def _hash_file(file: Path) -> str:
+def hash_file(file: Path) -> str:
     """Hash of a file's name and content; empty without a file."""
     if not file.is_file():
         return ""

@@ -19,6 +19,8 @@ from rlbench.registry.near_names import unknown_name
 from rlbench.render.presets import GENERATORS, PRESETS, TEST_SCENES
 
 if TYPE_CHECKING:
+    import pandas as pd
+
     from rlbench.render.scene import Scene
     from rlbench.weights import ModelCard
 
@@ -195,6 +197,23 @@ def method_facts() -> list[MethodFacts]:
     """All installed rows, in the order of their families; those that cannot be imported last."""
     facts = map(_method_facts, list_installed("methods")["methods"])
     return sorted(facts, key=lambda each: bool(each.broken))
+
+
+def frames_trained(rows: pd.DataFrame) -> dict[str, int]:
+    """Frames that the weights of rows were trained on, over all starts, by the name of the row.
+
+    Rows without a training of ours, and those whose weights are not among the shipped ones, are
+    left out.
+    """
+    from rlbench.benchmark.content_hash import hash_file
+
+    trained = {
+        hash_file(registry.shipped_weights(facts.name)): facts.card.frames_trained
+        for facts in method_facts()
+        if facts.card
+    }
+    pairs = zip(rows["method"], rows["weights_hash"].str.partition(",")[0], strict=True)
+    return {name: trained[weights] for name, weights in set(pairs) if trained.get(weights)}
 
 
 def scene_facts() -> list[SceneFacts]:

@@ -146,7 +146,13 @@ def _write(
 
     if images is False:
         writer = registry.load_or_explain("reports", name)
-        extra = {"against": others} if others and _takes_against(writer) else {}
+        extra: dict[str, object] = {}
+        if others and _takes("against", writer):
+            extra["against"] = others
+        if _takes("trained", writer):
+            from rlbench.benchmark.listing import frames_trained
+
+            extra["trained"] = frames_trained(rows)
         return list(writer(rows, folder, **extra))
     writer = registry.load_or_explain("image_reports", name)
     return list(writer(rows, folder, images(), methods))
@@ -160,7 +166,11 @@ def _read_others(name: str, folders: Sequence[Path]) -> dict[str, pd.DataFrame]:
     from rlbench import registry
     from rlbench.benchmark.results import read
 
-    if folders and name != "all" and not _takes_against(registry.load_or_explain("reports", name)):
+    if (
+        folders
+        and name != "all"
+        and not _takes("against", registry.load_or_explain("reports", name))
+    ):
         raise OptionError(f"--against: report '{name}' compares no presets. Omit it, or write real")
     tables: dict[str, pd.DataFrame] = {}
     for each in folders:
@@ -173,9 +183,9 @@ def _read_others(name: str, folders: Sequence[Path]) -> dict[str, pd.DataFrame]:
     return tables
 
 
-def _takes_against(writer: Callable[..., object]) -> bool:
-    """Can the report compare the results with those of other presets?"""
-    return "against" in inspect.signature(writer).parameters
+def _takes(argument: str, writer: Callable[..., object]) -> bool:
+    """Does a report use more than results: those of other presets, or how long rows trained?"""
+    return argument in inspect.signature(writer).parameters
 
 
 def _find_images(

@@ -8,9 +8,11 @@ import pytest
 
 from rlbench import registry
 from rlbench.benchmark import results as table
+from rlbench.benchmark.listing import frames_trained
 from rlbench.benchmark.results import Row
 from rlbench.cli.selection import select_methods
 from rlbench.errors import OptionError
+from rlbench.weights import read_card
 from tests.cli.runner import rlbench
 from tests.conftest import write_noise, write_plugin
 
@@ -51,6 +53,19 @@ def test_scenes_of_one_cost_profile_are_reported_together(tmp_path):
     rlbench("run", "-m", "mean", "--spp", "1,2", "--repeats", 1, *words)
     for report in ("summary", "pareto"):
         rlbench("report", report, "--results", tmp_path / "r", "--out", tmp_path / "figures")
+
+
+def test_table1_says_how_long_shipped_weights_were_trained(tmp_path):
+    write_noise(tmp_path / "clips" / "city", "city")
+    words = ("-m", "mean,oidn/tuned", "--spp", "1", "--clips", tmp_path / "clips", "--scores-only")
+    trained = {}
+    for weights in ((), ("--weights", "random")):
+        rlbench("run", *words, *weights, "--out", tmp_path / "r")
+        trained |= frames_trained(table.read(tmp_path / "r"))
+    frames = read_card(registry.shipped_weights("oidn/tuned")).frames_trained
+    assert trained == {"oidn/tuned": frames}
+    rlbench("report", "table1", "--results", tmp_path / "r", "--out", tmp_path)
+    assert f" | {frames:,} | " in (tmp_path / "table1.md").read_text()
 
 
 def test_report_all_writes_the_others_where_one_fails(plain_results, tmp_path):

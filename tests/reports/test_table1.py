@@ -61,6 +61,14 @@ def test_rows_are_in_the_papers_order_and_other_methods_follow(tmp_path):
     assert cells(page, TITLE, "eaw")[-3:] == ["-", "-", "-"]
 
 
+def test_frames_trained_have_a_column_where_they_are_known(results, page, tmp_path):
+    assert "frames trained" not in page
+    known = table1.write(results, tmp_path, trained={"ntas": 6000})[0].read_text()
+    column = cells(known, TITLE, "method |").index("frames trained")
+    assert cells(known, TITLE, "ntas |")[column] == "6,000"
+    assert cells(known, TITLE, "mean |")[column] == "-"
+
+
 def test_what_is_missing_is_listed(page, tmp_path):
     assert "- IMCD, in rlbench imcd\n" in page
     some = [r for r in rows(["ntas", "mean"]) if r.target_spp < 4]
