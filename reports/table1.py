@@ -132,7 +132,7 @@ def _table(scores: Scores, records: pd.DataFrame, trained: Mapping[str, int] | N
             method,
             *(format_number(psnr.get((method, spp), math.nan), ".2f") for spp in budgets),
             *_difference_and_time(cells.get((method, paper.spp))),
-            *([] if trained is None else [_format_frames(trained.get(method, 0))]),
+            *([] if trained is None else [format_number(trained.get(method, math.nan), ",.0f")]),
             *_published_cells(method),
         )
         for method in [row for row in order if row in methods] + sorted(methods - set(order))
@@ -161,10 +161,6 @@ def _difference_and_time(row: Record | None) -> tuple[str, str]:
         return "-", "-"
     gap: str = "-" if pd.isna(row["difference"]) else format_difference(row)
     return gap, format_ms(row["inference_ms"], row["unreliable"])
-
-
-def _format_frames(frames: int) -> str:
-    return f"{frames:,}" if frames else "-"
 
 
 def _published_cells(method: str) -> tuple[str, str, str]:

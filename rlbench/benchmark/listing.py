@@ -207,11 +207,8 @@ def frames_trained(rows: pd.DataFrame) -> dict[str, int]:
     """
     from rlbench.benchmark.content_hash import hash_file
 
-    trained = {
-        hash_file(registry.shipped_weights(facts.name)): facts.card.frames_trained
-        for facts in method_facts()
-        if facts.card
-    }
+    cards = {registry.shipped_weights(row.name): row.card for row in method_facts() if row.card}
+    trained = {hash_file(file): card.frames_trained for file, card in cards.items()}
     pairs = zip(rows["method"], rows["weights_hash"].str.partition(",")[0], strict=True)
     return {name: trained[weights] for name, weights in set(pairs) if trained.get(weights)}
 
