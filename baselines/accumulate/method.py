@@ -34,7 +34,7 @@ from rlbench.ops.reprojection import ReprojectionMemo
 from rlbench.ops.transfer import log_forward, log_inverse
 from rlbench.ops.unet import UNet
 from rlbench.ops.unet_widths import BASE_WIDTHS, FAST_WIDTHS, UNetWidths
-from rlbench.weights import load_for_inference
+from rlbench.weights import load_for_inference, load_into
 
 CARDS = Path(__file__).parent / "cards"
 BLEND = 0.3  # weight of the previous image, times surface similarity
@@ -139,3 +139,14 @@ def _update_change(
         history.change > 0, torch.lerp(history.change, change, CHANGE_RATE), change
     )
     return change.where(history.similarity > 0, 0.0)
+
+
+def accumulated_network(widths: UNetWidths = BASE_WIDTHS) -> tuple[UNet, str]:
+    """A network with the weights of the learned row of these widths, and their origin.
+
+    Raises KeyError unless there is one.
+    """
+    network = UNet(INPUT_CHANNELS, widths=widths)
+    row = {BASE_WIDTHS: "tuned", FAST_WIDTHS: "fast"}[widths]
+    card = load_into(network, CARDS / FAMILY.weights_file(row))
+    return network, f"{card.name}, from {card.origin}"

@@ -20,7 +20,7 @@ EncodingName = Literal["single", "mean", "mean and count", "none"]
 HistoryMode = Literal["state", "samples", "nothing"]
 Accumulation = Literal["temporal", "rule", "frame", "none"]
 LossName = Literal["l1_ms_ssim", "display"]
-DenoiserStart = Literal["intel", "tuned"]
+DenoiserStart = Literal["intel", "tuned", "accumulated"]
 DensityName = Literal["exponential", "linear"]
 
 
@@ -36,12 +36,13 @@ class Config:
     history_mode: HistoryMode = "state"  # recurrent input: latent, last samples (sampler only)
     accumulation: Accumulation = "temporal"  # radiance that the denoiser reads beside the state
     sampler: tuple[int, ...] = (4, 8, 16, 32)  # channels of the sampler's levels; empty: uniform
-    sampler_stride: int = 1  # side in pixels of the blocks that the sampler reads the mean of
+    sampler_stride: Literal[1, 2] = 1  # side in pixels of the blocks whose means the sampler reads
     density: DensityName = "exponential"  # density as a function of the action in [-1, 1]
     encoder: tuple[int, ...] = (64,)  # channels of the hidden layers; empty: no encoder
     encoder_kernel: int = 3  # pixels, side of the encoder's kernels
     denoiser: UNetWidths = BASE_WIDTHS
-    denoiser_start: DenoiserStart = "intel"  # first weights: Intel's, or those of oidn/tuned
+    # first weights: Intel's, those of oidn/tuned, or those of the row of `accumulate` of its size
+    denoiser_start: DenoiserStart = "intel"
     kernel_taps: int = 0  # of kernels that the denoiser predicts, if it writes the latent
     bptt: int = 1  # frames that gradients flow back through (truncated backpropagation)
     loss: LossName = "l1_ms_ssim"  # in log transfer; or squared error on the display
@@ -136,6 +137,13 @@ ROWS = {
         UNIFORM,
         sampler=(),
         contrast_density=False,
+    ),
+    "fast": _row(
+        "Do they pay before Intel's small network too?",
+        OURS,
+        pretrained=False,
+        denoiser=FAST_WIDTHS,
+        denoiser_start="accumulated",
     ),
     "by-rule": _row(
         "What does the learned density give over a rule? (density by contrast)",

@@ -17,7 +17,7 @@ from torch import Tensor
 from baselines.accumulate.memory import trust_by_rule
 from baselines.oidn.method import encode_inputs as oidn_inputs
 from baselines.oidn.method import to_signed_radiance
-from methods.ours.history import ReprojectedHistory, network_features
+from methods.ours.history import ReprojectedHistory, radiance_statistics
 from methods.ours.networks import MISSING
 from rlbench.frames import GBuffer, Samples
 from rlbench.ops.accumulation import AccumulatedRadiance, accumulate, fill_holes, frame_radiance
@@ -121,8 +121,8 @@ class RuleRadiance(TemporalRadiance):
     ) -> tuple[Float[Tensor, "n 3 h w"], Float[Tensor, "n s h w"]]:
         """The denoiser's colour and the previous image, mixed in log transfer; the next latent."""
         history, latent = frame.history, frame.latent
-        statistics = network_features(radiance)[:, 3:]  # without the mean, which is an input
         previous = history.image.where(history.similarity > 0, MISSING)
+        statistics = radiance_statistics(radiance)
         features = torch.cat((previous, statistics, history.similarity, latent), dim=1)
         image, others = _denoise_exposed(denoiser, frame.gbuffer, features, radiance)
         sizes = [1, latent.shape[1], self.kernel_taps and 1, self.kernel_taps]

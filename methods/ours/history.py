@@ -106,12 +106,12 @@ def gbuffer_features(gbuffer: GBuffer) -> Float[Tensor, "n 7 h w"]:
     return surface_features(gbuffer.normal, gbuffer.albedo, gbuffer.depth)
 
 
-def network_features(radiance: AccumulatedRadiance) -> Float[Tensor, "n 5 h w"]:
-    """Network inputs: mean in log transfer, relative deviation and weight, both in [0, 1)."""
+def radiance_statistics(radiance: AccumulatedRadiance) -> Float[Tensor, "n 2 h w"]:
+    """Network inputs: relative deviation and weight, both in [0, 1)."""
     deviation = radiance.variance.clamp_min(1e-8).sqrt()
     relative = deviation / (deviation + luminance(radiance.mean) + 1e-3)
     weight = radiance.accumulated_spp / (radiance.accumulated_spp + MANY_SPP)
-    return torch.cat((log_forward(radiance.mean), relative, weight), 1)
+    return torch.cat((relative, weight), 1)
 
 
 class DenoisedFrame(NamedTuple):
@@ -192,7 +192,8 @@ class RadianceHistory(FeatureHistory):
         mean, square, image = reproject_radiance(state.radiance, previous_image, gbuffer.motion)
         similarity = feature_similarity(current, previous).where(valid, 0.0)
         radiance = AccumulatedRadiance(mean, square, weigh_by_similarity(spp, similarity))
-        accumulated = torch.cat((image, network_features(radiance), similarity), dim=1)
+        statistics = radiance_statistics(radiance)
+        accumulated = torch.cat((image, log_forward(mean), statistics, similarity), dim=1)
         static = find_static_pixels(similarity, gbuffer.motion)
         same_shot = valid.any(dim=3, keepdim=True).any(dim=2, keepdim=True)
         previous_spp = state.previous_spp.where(same_shot, 1.0)

@@ -7,6 +7,7 @@ import math
 import torch
 from torch import Tensor, nn
 
+from baselines.accumulate.method import accumulated_network
 from baselines.oidn.method import published_network, tuned_network, widen
 from methods.ours import Config
 from methods.ours.networks import (
@@ -32,6 +33,7 @@ INITIAL_TRUST = 0.7  # in accumulated radiance
 INITIAL_BLEND = 0.3  # weight of the previous image
 INITIAL_GATE = -3.0  # logit of the weight of filtered radiance: 5 %
 
+STARTS = {"intel": published_network, "tuned": tuned_network, "accumulated": accumulated_network}
 CONTRAST_GAIN = 20.0  # contrasts are about 0.1
 MISSING_BELOW = 0.6  # a value below minus this is MISSING
 
@@ -58,11 +60,10 @@ def initialize(networks: Networks, config: Config, seed: int) -> str:
         _wire_identity(networks.encoder, config)
     origin = ""
     if config.accumulation != "none" and config.denoiser in (BASE_WIDTHS, FAST_WIDTHS):
-        start = tuned_network if config.denoiser_start == "tuned" else published_network
-        intel, origin = start(config.denoiser)
+        source, origin = STARTS[config.denoiser_start](config.denoiser)
         # outputs of a latent keep their random weights: where both what writes a latent and what
         # reads it is zero, neither has a gradient
-        widen(networks.denoiser, intel)
+        widen(networks.denoiser, source)
         networks.denoiser.dec_conv0.weight[3:4].zero_()  # of the blend
     if config.accumulates:
         _bias(networks.denoiser.dec_conv0)[3] = math.log(INITIAL_BLEND / (1 - INITIAL_BLEND))

@@ -79,7 +79,7 @@ class Sampler(nn.Module):
     Differs from the paper where it is `paced`: the last input channel is the logarithm of the
     budget, and the value before tanh is multiplied by a power of the budget, whose factor and
     exponent are learned. A map that pays with 4 samples per pixel is too bold with half a sample.
-    With a `stride` above 1, it reads means of stride x stride pixels, and its actions are
+    With a `stride` of 2, it reads means of 2 x 2 pixels, and its actions are
     interpolated: narrow layers at full resolution take long on a processor.
     """
 
@@ -107,8 +107,9 @@ class Sampler(nn.Module):
 
     def forward(self, inputs: Float[Tensor, "n c h w"]) -> Float[Tensor, "n 1 h w"]:
         """The mean action. With L levels, h and w must be multiples of stride * 2 ** (L - 2)."""
-        x = to_channels_last(inputs)
-        x = self.tail(F.avg_pool2d(x, self.stride) if self.stride > 1 else x)
+        # at half size, bilinear taps are means of 2 x 2 pixels, and take a quarter of avg_pool2d
+        x = F.interpolate(inputs, scale_factor=0.5, mode="bilinear") if self.stride > 1 else inputs
+        x = self.tail(to_channels_last(x))
         skips = []
         for depth, block in enumerate(self.down):
             x = block(self.pool(x) if depth else x)
@@ -119,7 +120,7 @@ class Sampler(nn.Module):
         if self.pace is not None:
             raw = raw * (self.pace[0] + self.pace[1] * inputs[:, -1:, :1, :1]).exp()
         if self.stride > 1:
-            raw = F.interpolate(raw, scale_factor=self.stride, mode="bilinear")
+            raw = F.interpolate(raw, scale_factor=2.0, mode="bilinear")
         return torch.tanh(raw)
 
 

@@ -18,11 +18,11 @@ from .demodulation import (
 )
 from .density import bounded_exp_density
 from .dither import round_to_total
-from .exposure import autoexposure
+from .exposure import autoexposure, log_average
 from .fireflies import (
     limit_fireflies,
     mean_without_fireflies,
-    repair_moments,
+    repair_light,
     repair_radiance_history,
 )
 from .init import kaiming_init
@@ -89,6 +89,7 @@ __all__ = [
     "l1",
     "l1_ms_ssim_loss",
     "limit_fireflies",
+    "log_average",
     "log_forward",
     "log_inverse",
     "log_loss",
@@ -101,7 +102,7 @@ __all__ = [
     "pu_inverse",
     "reflectance",
     "repair_history",
-    "repair_moments",
+    "repair_light",
     "repair_radiance_history",
     "reproject",
     "reproject_bicubic",

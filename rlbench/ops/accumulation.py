@@ -103,6 +103,9 @@ def fill_holes(
     any weight. Holes must be filled before reprojection: bilinear taps would mix black into the
     pixels beside a hole.
     """
+    sampled = radiance.accumulated_spp > 0
+    if sampled.all():
+        return radiance
     h, w = albedo.shape[-2:]
     texture = demodulation_albedo(albedo.clamp(0, 1))
     weighted = torch.cat(
@@ -117,7 +120,6 @@ def fill_holes(
         upsampled = F.interpolate(coarse, size=level.shape[-2:], mode="bilinear")
         coarse = torch.where(level[:, 3:] > 0, _mean(level), upsampled)
     coarse = crop(F.interpolate(coarse, scale_factor=2.0, mode="bilinear"), h, w)
-    sampled = radiance.accumulated_spp > 0
     mean = torch.where(sampled, radiance.mean, coarse * texture)
     square = torch.where(sampled, radiance.second_moment, luminance(mean).square())
     return AccumulatedRadiance(mean, square, radiance.accumulated_spp)

@@ -53,13 +53,13 @@ def relative_change(
     """Relative change of radiance beyond chance, one value a cell: the largest over all windows."""
     h, w = new.accumulated_spp.shape[-2:]
     both = ((new.accumulated_spp > 0) & (old.accumulated_spp > 0)).to(new.mean.dtype)
-    scale = 1 / (luminance(log_inverse(image)).clamp_min(0) + DARK_RADIANCE)
+    scale = both / (luminance(log_inverse(image)).clamp_min(0) + DARK_RADIANCE)
     then, now = luminance(old.mean) * scale, luminance(new.mean) * scale
     change, variance = now - then, old.variance * scale.square()
     predicted = variance * (
         1 / new.accumulated_spp.clamp_min(1) + 1 / old.accumulated_spp.clamp_min(1)
     )
-    terms = both * torch.cat((both, change, change.square(), predicted, then, now), 1)
+    terms = torch.cat((both, change, change.square(), predicted, then, now), 1)
     cells = block_mean(F.pad(terms, (0, -w % CELL, 0, -h % CELL)), CELL)
     return torch.stack([_window_change(cells, side) for side in WINDOWS]).amax(0)
 

@@ -24,7 +24,9 @@ def luminance(
     >>> round(luminance(torch.ones(1, 3, 1, 1)).item(), 4)
     1.0
     """
-    return (radiance * radiance.new_tensor(weights).view(3, 1, 1)).sum(-3, keepdim=True)
+    red, green, blue = radiance.unbind(-3)
+    r, g, b = weights
+    return torch.add(red * r, green, alpha=g).add_(blue, alpha=b).unsqueeze(-3)
 
 
 def encode_srgb(linear: Float[Tensor, "*size"]) -> Float[Tensor, "*size"]:

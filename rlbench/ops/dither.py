@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from types import ModuleType
 
+import numpy as np
 import torch
 from jaxtyping import Int
 from torch import Tensor
-from torch.nn import functional as F
 
 __all__ = ["ONE_SHARE", "hash_to_integer", "round_to_total"]
 
@@ -15,6 +16,9 @@ SHARE_BITS = 32
 ONE_SHARE = 2**SHARE_BITS  # a share of one sample, as an integer
 FRACTION = ONE_SHARE - 1  # mask of a share's fractional part
 THRESHOLD_BITS = 30  # threshold times fraction must stay below 2^63
+SMALL_LEVEL = 4096  # parts up to which numpy is quicker than torch, which takes longer for a call
+
+Array = Tensor | np.ndarray
 
 _graphs: dict[tuple[torch.Size, torch.device], _Graph] = {}  # by size, on GPUs
 
@@ -57,14 +61,21 @@ def round_to_total(
 
 
 def _divide_all(shares: Tensor, totals: Tensor, thresholds: Tensor) -> Tensor:
-    """The counts of all pixels, from the totals [n 1 1] and a threshold per level [level n 1 1]."""
-    levels = [shares]
-    while levels[-1][0].numel() > 1:
-        levels.append(_add_pairs(levels[-1]))
-    counts = totals
-    for parts, threshold in zip(levels[-2::-1], reversed(thresholds), strict=True):
-        counts = _divide(counts, parts, threshold)
-    return counts
+    """The counts of all pixels, from the totals [n 1 1] and a threshold per level [level n 1 1].
+
+    On a processor, small levels are numpy arrays.
+    """
+    levels: list[Array] = [shares]
+    while levels[-1].shape[1:] != (1, 1):
+        parts = _add_pairs(levels[-1])
+        if isinstance(parts, Tensor) and not parts.is_cuda and parts[0].numel() <= SMALL_LEVEL:
+            parts = parts.numpy()
+        levels.append(parts)
+    counts: Array = totals
+    for parts, threshold in zip(levels[-2::-1], thresholds.flip(0), strict=True):
+        kind = torch.asarray if isinstance(parts, Tensor) else np.asarray
+        counts = _divide(kind(counts), parts, kind(threshold))
+    return torch.asarray(counts)
 
 
 class _Graph:
@@ -89,53 +100,65 @@ class _Graph:
         return self.output.clone()
 
 
-def _axis(parts: Tensor) -> int:
+def _library(parts: Array) -> ModuleType:
+    """The library of an array, numpy or torch: what is used here, both have."""
+    return torch if isinstance(parts, Tensor) else np
+
+
+def _axis(parts: Array) -> int:
     """The axis along which parts are paired: the longer one, rows before columns."""
     return 2 if parts.shape[2] >= parts.shape[1] else 1
 
 
-def _pairs(parts: Tensor) -> tuple[Tensor, Tensor]:
+def _pairs(parts: Array) -> tuple[Array, Array]:
     """The first and the second part of each pair; the second of an odd one out is zero."""
-    axis = _axis(parts)
-    if parts.shape[axis] % 2:
-        parts = F.pad(parts, (0, 1) if axis == 2 else (0, 0, 0, 1))
-    sides = (*parts.shape[:axis], -1, 2, *parts.shape[axis + 1 :])
-    first, second = parts.reshape(sides).unbind(axis + 1)
-    return first, second
+    n, h, w = parts.shape
+    if _axis(parts) == 2:
+        if w % 2:
+            parts = _library(parts).concatenate((parts, 0 * parts[:, :, :1]), 2)
+        return parts[:, :, ::2], parts[:, :, 1::2]
+    if h % 2:
+        parts = _library(parts).concatenate((parts, 0 * parts[:, :1]), 1)
+    return parts[:, ::2], parts[:, 1::2]
 
 
-def _add_pairs(parts: Tensor) -> Tensor:
+def _add_pairs(parts: Array) -> Array:
     first, second = _pairs(parts)
     return first + second
 
 
-def _divide(counts: Tensor, parts: Tensor, threshold: Tensor) -> Tensor:
+def _divide(counts: Array, parts: Array, threshold: Array) -> Array:
     """The counts of both parts of each pair, whose sum is in `counts`.
 
     Let a and b be the fractional parts, and `rest` the samples beyond both shares rounded down: 0
     or 1 if a + b < 1, else 1 or 2. One sample goes to the first part with a probability that
     makes its mean over `rest` and threshold equal to a.
     """
-    axis = _axis(parts)
+    library, axis = _library(parts), _axis(parts)
     first, second = _pairs(parts)
-    a, b = first & FRACTION, second & FRACTION
-    rest = counts - (first >> SHARE_BITS) - (second >> SHARE_BITS)
+    whole, a, b = first >> SHARE_BITS, first & FRACTION, second & FRACTION
+    rest = counts - whole - (second >> SHARE_BITS)
     both = a + b
     is_small = both < ONE_SHARE
-    favourable = torch.where(is_small, a, ONE_SHARE - b)
-    possible = torch.where(is_small, both, 2 * ONE_SHARE - both)
+    favourable = library.where(is_small, a, ONE_SHARE - b)
+    possible = library.where(is_small, both, 2 * ONE_SHARE - both)
     wins = _alternate(threshold, counts, 3 - axis) * possible < favourable << THRESHOLD_BITS
-    up = (rest > 1) | ((rest == 1) & wins)
-    first_counts = (first >> SHARE_BITS) + up
-    divided = torch.stack((first_counts, counts - first_counts), axis + 1)
-    return divided.flatten(axis, axis + 1).narrow(axis, 0, parts.shape[axis])
+    first_counts = whole + ((rest > 1) | ((rest == 1) & wins))
+    divided = library.stack((first_counts, counts - first_counts), axis + 1)
+    sides = list(counts.shape)
+    sides[axis] *= 2
+    result: Array = divided.reshape(sides)[:, : parts.shape[1], : parts.shape[2]]
+    return result
 
 
-def _alternate(threshold: Tensor, counts: Tensor, axis: int) -> Tensor:
+def _alternate(threshold: Array, counts: Array, axis: int) -> Array:
     """The threshold, and its complement in every second line along `axis`."""
-    line = torch.arange(counts.shape[axis], device=counts.device) % 2
-    line = line[:, None] if axis == 1 else line
-    return torch.where(line == 0, threshold, 2**THRESHOLD_BITS - 1 - threshold)
+    sides = [1, 1, 1]
+    sides[axis] = counts.shape[axis]
+    thresholds = threshold + 0 * counts[:, : sides[1], : sides[2]]
+    line = (slice(None),) * axis + (slice(1, None, 2),)
+    thresholds[line] = 2**THRESHOLD_BITS - 1 - thresholds[line]
+    return thresholds
 
 
 def hash_to_integer(seed: int, level: int) -> int:

@@ -11,14 +11,14 @@ from torch.nn import functional as F
 
 from rlbench.ops.box_filter import box_mean
 from rlbench.ops.color import luminance
-from rlbench.ops.exposure import MIDDLE_GREY, autoexposure
-from rlbench.ops.sanitize import repair_history, sanitize_radiance
+from rlbench.ops.exposure import log_average
+from rlbench.ops.sanitize import is_within, repair_history, sanitize_radiance
 from rlbench.ops.transfer import HALF_MAX
 
 __all__ = [
     "limit_fireflies",
     "mean_without_fireflies",
-    "repair_moments",
+    "repair_light",
     "repair_radiance_history",
 ]
 
@@ -70,7 +70,7 @@ def _limit(radiance: Tensor, counts: Tensor) -> tuple[Tensor, Tensor]:
     light, radius = luminance(mean), radii[0]
     neighbours = _max_of_neighbours(light.where(known, NO_PIXEL), radius)
     plausible = torch.minimum(light, neighbours).where(neighbours >= 0, light)
-    brightest = torch.maximum(neighbours, _log_average(plausible, known))
+    brightest = torch.maximum(neighbours, log_average(plausible, known))
     suspects = light * counts > CONTRAST * brightest  # no sample is brighter than the sum
     if not suspects.any():
         return radiance, mean
@@ -108,19 +108,22 @@ def repair_radiance_history(history: Float[Tensor, "n 3 h w"]) -> Float[Tensor, 
     return _repair_radiance(history)[0]
 
 
-def repair_moments(
-    mean: Float[Tensor, "n 3 h w"], second_moment: Float[Tensor, "n 1 h w"]
-) -> tuple[Float[Tensor, "n 3 h w"], Float[Tensor, "n 1 h w"]]:
-    """Mean and second moment of earlier frames, in which a broken pixel equals a neighbour.
+def repair_light(
+    mean: Float[Tensor, "n 3 h w"],
+    second_moment: Float[Tensor, "n 1 h w"],
+    image: Float[Tensor, "n 3 h w"],
+) -> tuple[Float[Tensor, "n 3 h w"], Float[Tensor, "n 1 h w"], Float[Tensor, "n 3 h w"]]:
+    """Mean, second moment and image of earlier frames; a broken pixel equals a neighbour.
 
-    The mean is repaired by `repair_radiance_history`. Samples in [0, x] have a second moment of
-    luminance of at most x times their mean. A second moment is broken if it is not finite,
+    Mean and image are repaired by `repair_radiance_history`. Samples in [0, x] have a second moment
+    of luminance of at most x times their mean. A second moment is broken if it is not finite,
     negative, or above this limit, where x is 4096 times the log-average luminance. The average is
     added to the mean, because reprojection mixes pixels.
     """
-    mean, average = _repair_radiance(mean)
+    repaired, averages = _repair_radiance(torch.cat((mean, image)))  # one call takes less time
+    (mean, image), average = repaired.chunk(2), averages[: len(mean)]
     most = HISTORY_CONTRAST * average * (luminance(mean) + average)
-    return mean, repair_history(second_moment, 0.0, most)
+    return mean, repair_history(second_moment, 0.0, most), image
 
 
 def _repair_radiance(history: Tensor) -> tuple[Tensor, Tensor]:
@@ -129,13 +132,11 @@ def _repair_radiance(history: Tensor) -> tuple[Tensor, Tensor]:
     light = luminance(history)
     neighbours = _max_of_neighbours(light)
     plausible = torch.minimum(light, neighbours).where(neighbours >= 0, light)
-    average = _log_average(plausible)
-    return repair_history(history, 0.0, HISTORY_CONTRAST * average), average
-
-
-def _log_average(light: Tensor, known: Tensor | None = None) -> Float[Tensor, "n 1 1 1"]:
-    """The log-average luminance of each image's known pixels, 0.18 for a black one."""
-    return MIDDLE_GREY / autoexposure(light.expand(-1, 3, -1, -1), known)
+    average = log_average(plausible)
+    most = HISTORY_CONTRAST * average
+    if is_within(history, 0.0, float(most.detach().amin())):
+        return history, average
+    return repair_history(history, 0.0, most), average
 
 
 def _mean(radiance: Tensor, counts: Tensor) -> Tensor:

@@ -8,6 +8,8 @@ from torch import Tensor
 
 __all__ = ["to_channels_last", "to_contiguous_float32"]
 
+FEW_CHANNELS = 8  # up to which a plain copy of two threads is quicker than a transposed matrix
+
 
 def to_channels_last(x: Float[Tensor, "n c h w"]) -> Float[Tensor, "n c h w"]:
     """The same values in channels-last order, cast to the autocast precision if autocast is on.
@@ -18,10 +20,7 @@ def to_channels_last(x: Float[Tensor, "n c h w"]) -> Float[Tensor, "n c h w"]:
     device = x.device.type
     casts = torch.amp.is_autocast_available(device) and torch.is_autocast_enabled(device)
     dtype = torch.get_autocast_dtype(device) if casts else x.dtype
-    if len(x) > 1 or not x.is_contiguous():
-        return x.to(dtype, memory_format=torch.channels_last)
-    # equivalent to a matrix transpose, for which torch has a kernel that is twice as fast
-    return x.to(dtype)[0].flatten(1).t().contiguous().view(1, *x.shape[2:], -1).permute(0, 3, 1, 2)
+    return x.to(dtype, memory_format=torch.channels_last)
 
 
 def to_contiguous_float32(x: Float[Tensor, "n c h w"]) -> Float[Tensor, "n c h w"]:
@@ -30,6 +29,8 @@ def to_contiguous_float32(x: Float[Tensor, "n c h w"]) -> Float[Tensor, "n c h w
     For the output of convolutions before other operations: adding two tensors of different memory
     formats is slow.
     """
-    if len(x) > 1 or not x.is_contiguous(memory_format=torch.channels_last):
+    is_channels_last = x.is_contiguous(memory_format=torch.channels_last)
+    if len(x) > 1 or x.shape[1] <= FEW_CHANNELS or not is_channels_last:
         return x.float().contiguous()
+    # torch transposes matrices in blocks, and is several times slower without, for many channels
     return x.permute(0, 2, 3, 1).flatten(0, 2).t().contiguous().view(x.shape).float()

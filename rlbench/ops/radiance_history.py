@@ -7,7 +7,7 @@ from jaxtyping import Bool, Float
 from torch import Tensor
 
 from rlbench.ops.accumulation import AccumulatedRadiance
-from rlbench.ops.fireflies import repair_moments, repair_radiance_history
+from rlbench.ops.fireflies import repair_light
 from rlbench.ops.reprojection import reproject_bicubic
 from rlbench.ops.sanitize import repair_history
 from rlbench.ops.transfer import log_forward
@@ -36,11 +36,8 @@ def reproject_radiance(
     `image` is linear. It is reprojected in log transfer, since linear bicubic taps next to a lamp
     are dominated by rounding errors.
     """
-    stacked = (
-        *repair_moments(radiance.mean, radiance.second_moment),
-        log_forward(repair_radiance_history(image)),
-    )
-    moved, _ = reproject_bicubic(torch.cat(stacked, dim=1), motion)
+    mean, square, image = repair_light(radiance.mean, radiance.second_moment, image)
+    moved, _ = reproject_bicubic(torch.cat((mean, square, log_forward(image)), dim=1), motion)
     mean, square, image = moved.split_with_sizes(CHANNELS, 1)
     return mean, square, image
 

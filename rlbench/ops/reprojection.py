@@ -57,8 +57,10 @@ def reproject_bicubic(
         return history, _all_valid(history)
     x, y, valid = _previous_position(motion)
     padded = F.pad(history, (0, 1, 0, 1), mode="replicate")
-    bounds = torch.cat((_reduce_2x2(torch.maximum, padded), _reduce_2x2(torch.minimum, padded)), 1)
-    largest, least = _sample(bounds, x.floor(), y.floor(), "nearest").chunk(2, dim=1)
+    # both bounds are images of one batch, which grid_sample computes side by side
+    bounds = torch.cat((_reduce_2x2(torch.maximum, padded), _reduce_2x2(torch.minimum, padded)))
+    left, top = (each.floor().repeat(2, 1, 1) for each in (x, y))
+    largest, least = _sample(bounds, left, top, "nearest").chunk(2)
     return _sample(history, x, y, "bicubic").clamp(least, largest), valid
 
 

@@ -24,16 +24,30 @@ class UpsampleConcatConv(nn.Conv2d):
     ) -> None:
         """Create the parameters of a 3 x 3 convolution of coarse_channels + skip_channels."""
         super().__init__(coarse_channels + skip_channels, out_channels, 3, padding=1, device=device)
+        self.coarse_channels = coarse_channels
+        self._kept: tuple[tuple[object, ...], tuple[Tensor, Tensor]] | None = None
 
     def forward(  # type: ignore[override]
         self, coarse: Float[Tensor, "n c h w"], skip: Float[Tensor, "n s 2*h 2*w"]
     ) -> Float[Tensor, "n o 2*h 2*w"]:
         """The convolution at the resolution of `skip`."""
-        coarse_weight, skip_weight = torch.tensor_split(self.weight, [coarse.shape[1]], dim=1)
-        upsampled = F.conv_transpose2d(
-            coarse, as_transposed_kernel(coarse_weight), self.bias, stride=2, padding=1
-        )
-        return upsampled.add_(F.conv2d(skip, skip_weight, padding=1))
+        coarse_kernel, skip_kernel = self._kernels()
+        upsampled = F.conv_transpose2d(coarse, coarse_kernel, self.bias, stride=2, padding=1)
+        return upsampled.add_(F.conv2d(skip, skip_kernel, padding=1))
+
+    def _kernels(self) -> tuple[Tensor, Tensor]:
+        """The kernels of both parts; without gradients they are kept while the weights stay."""
+        if torch.is_grad_enabled() or torch.compiler.is_compiling():
+            return self._make_kernels()
+        key = (self.weight.data_ptr(), self.weight._version, self.weight.dtype, self.weight.device)
+        if self._kept is None or self._kept[0] != key:
+            with torch.inference_mode(False), torch.no_grad():
+                self._kept = key, self._make_kernels()
+        return self._kept[1]
+
+    def _make_kernels(self) -> tuple[Tensor, Tensor]:
+        coarse, skip = torch.tensor_split(self.weight, [self.coarse_channels], dim=1)
+        return as_transposed_kernel(coarse).contiguous(), skip.contiguous()
 
 
 def as_transposed_kernel(weight: Float[Tensor, "o c 3 3"]) -> Float[Tensor, "c o 4 4"]:

@@ -19,7 +19,7 @@ from rlbench.ops.fireflies import (
     _window_radius,
     limit_fireflies,
     mean_without_fireflies,
-    repair_moments,
+    repair_light,
     repair_radiance_history,
 )
 
@@ -183,7 +183,7 @@ def test_a_second_moment_that_no_samples_have_is_a_neighbours(value):
     mean, second_moment = noisy().mean(1), luminance(noisy()).square().mean(1)
     broken = second_moment.clone()
     broken[..., 8, 8] = value
-    _, repaired = repair_moments(mean, broken)
+    _, repaired, _ = repair_light(mean, broken, mean)
     assert torch.equal(repaired[..., 8, 8], second_moment[..., 8, 7])
 
 
@@ -191,7 +191,7 @@ def test_the_second_moment_of_a_lamp_a_thousand_times_brighter_stays():
     samples = noisy()
     samples[:, 0, :, 8, 8] = 1000.0
     mean, second_moment = samples.mean(1), luminance(samples).square().mean(1)
-    assert repair_moments(mean, second_moment)[1] is second_moment
+    assert repair_light(mean, second_moment, mean)[1] is second_moment
 
 
 def test_an_image_in_a_batch_is_limited_as_alone():

@@ -28,7 +28,7 @@ from baselines.accumulate.memory import (
     reproject_memory,
     share_by_spp,
 )
-from baselines.accumulate.method import BLEND, CARDS, Decode
+from baselines.accumulate.method import BLEND, Decode, accumulated_network
 from baselines.oidn.method import (
     INPUT_CHANNELS,
     run_network,
@@ -51,7 +51,7 @@ from rlbench.ops.sanitize import repair_history
 from rlbench.ops.transfer import log_forward, log_inverse, pu_forward
 from rlbench.ops.unet import UNet
 from rlbench.training.task import TrainingTask
-from rlbench.weights import load_for_inference, load_into
+from rlbench.weights import load_for_inference
 
 SHORT, LONG = 0.5, 0.95  # largest weights of the old light in a frame
 TAPS = 25  # of the kernel that splats the last image
@@ -230,8 +230,7 @@ def build(variant: str, device: torch.device, weights: str | None) -> Histories:
 
 def training_task(variant: str, device: torch.device, seed: int) -> TrainingTask:
     """Loss, rate and budgets of `accumulate/tuned`, and its weights: new inputs have no effect."""
-    config, source = VARIANTS[variant], UNet(INPUT_CHANNELS)
-    card = load_into(source, CARDS / "tuned.safetensors")
+    config, (source, origin) = VARIANTS[variant], accumulated_network()
     network = UNet(config.inputs, config.outputs)
     with torch.no_grad():
         widen(network, source)
@@ -248,7 +247,7 @@ def training_task(variant: str, device: torch.device, seed: int) -> TrainingTask
         yield torch.stack(list(frame_losses(method, clip, spp))).mean()
 
     losses = through if config.through else partial(frame_losses, DetachedState(method))
-    return recurrent_task(method, network, losses, f"{card.name}, from {card.origin}")
+    return recurrent_task(method, network, losses, origin)
 
 
 FAMILY = Family(

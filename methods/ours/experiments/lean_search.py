@@ -31,6 +31,9 @@ CONFIGS = {
     "full-sampler": replace(OURS, sampler_stride=1),  # its actions at full resolution
     **{f"bptt-{k}": replace(BY_RULE, latent=8, bptt=k) for k in UNROLLS},
     **{f"latent-{c}": replace(BY_RULE, latent=c, bptt=3) for c in LATENTS},
+    # the same length and unroll with and without a latent, from weights that know accumulated light
+    "through-0": replace(BY_RULE, bptt=6, denoiser_start="accumulated"),
+    "through-8": replace(BY_RULE, latent=8, bptt=6, denoiser_start="accumulated"),
     "kernel-3": replace(BY_RULE, latent=4, bptt=3, kernel_taps=9),
     "kernel-5": replace(BY_RULE, latent=4, bptt=3, kernel_taps=25),
     "tuned": replace(BY_RULE, bptt=3, denoiser_start="tuned"),
