@@ -136,14 +136,14 @@ def _divide(counts: Array, parts: Array, threshold: Array) -> Array:
     """
     library, axis = _library(parts), _axis(parts)
     first, second = _pairs(parts)
-    whole, a, b = first >> SHARE_BITS, first & FRACTION, second & FRACTION
-    rest = counts - whole - (second >> SHARE_BITS)
+    floor, a, b = first >> SHARE_BITS, first & FRACTION, second & FRACTION
+    rest = counts - floor - (second >> SHARE_BITS)
     both = a + b
     is_small = both < ONE_SHARE
     favourable = library.where(is_small, a, ONE_SHARE - b)
     possible = library.where(is_small, both, 2 * ONE_SHARE - both)
     wins = _alternate(threshold, counts, 3 - axis) * possible < favourable << THRESHOLD_BITS
-    first_counts = whole + ((rest > 1) | ((rest == 1) & wins))
+    first_counts = floor + ((rest > 1) | ((rest == 1) & wins))
     divided = library.stack((first_counts, counts - first_counts), axis + 1)
     sides = list(counts.shape)
     sides[axis] *= 2

@@ -25,7 +25,8 @@ class UpsampleConcatConv(nn.Conv2d):
         """Create the parameters of a 3 x 3 convolution of coarse_channels + skip_channels."""
         super().__init__(coarse_channels + skip_channels, out_channels, 3, padding=1, device=device)
         self.coarse_channels = coarse_channels
-        self._kept: tuple[tuple[object, ...], tuple[Tensor, Tensor]] | None = None
+        # address and version of the weights, these weights, and the kernels
+        self._kept: tuple[tuple[int, int], Tensor, tuple[Tensor, Tensor]] | None = None
 
     def forward(  # type: ignore[override]
         self, coarse: Float[Tensor, "n c h w"], skip: Float[Tensor, "n s 2*h 2*w"]
@@ -37,13 +38,16 @@ class UpsampleConcatConv(nn.Conv2d):
 
     def _kernels(self) -> tuple[Tensor, Tensor]:
         """The kernels of both parts; without gradients they are kept while the weights stay."""
-        if torch.is_grad_enabled() or torch.compiler.is_compiling():
+        weight = self.weight
+        is_traced = torch.compiler.is_compiling() or torch._C._get_tracing_state() is not None
+        if torch.is_grad_enabled() or is_traced or weight.is_inference():
             return self._make_kernels()
-        key = (self.weight.data_ptr(), self.weight._version, self.weight.dtype, self.weight.device)
-        if self._kept is None or self._kept[0] != key:
+        source = weight.detach()  # kept too, so that no other weight takes its place in memory
+        state = (source.data_ptr(), source._version)
+        if self._kept is None or self._kept[0] != state:
             with torch.inference_mode(False), torch.no_grad():
-                self._kept = key, self._make_kernels()
-        return self._kept[1]
+                self._kept = state, source, self._make_kernels()
+        return self._kept[2]
 
     def _make_kernels(self) -> tuple[Tensor, Tensor]:
         coarse, skip = torch.tensor_split(self.weight, [self.coarse_channels], dim=1)

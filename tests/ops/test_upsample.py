@@ -55,3 +55,17 @@ def test_autocast_computes_in_half_precision():
     assert half.dtype == torch.bfloat16
     # 8 bits of significand, sums of about 3
     torch.testing.assert_close(half.float(), three_steps(layer, coarse, skip), rtol=0, atol=0.05)
+
+
+@torch.no_grad()
+def test_kept_kernels_follow_the_weights():
+    layer, tensors = UpsampleConcatConv(5, 3, 4).double(), inputs(4, 3)
+    changes = (
+        lambda: None,
+        lambda: layer.weight.mul_(2),
+        lambda: layer.load_state_dict(UpsampleConcatConv(5, 3, 4).double().state_dict()),
+        lambda: setattr(layer, "weight", torch.nn.Parameter(layer.weight + 1)),
+    )
+    for change in changes:
+        change()
+        torch.testing.assert_close(layer(*tensors), three_steps(layer, *tensors))
