@@ -1,0 +1,95 @@
+"""What the constants of the memory are worth: scores with others in their place.
+
+Command: python -m methods.ours.experiments.memory_constants CLIPS --spp 1,4 --method ours
+
+Networks stay as they are, so a change that a network would have to learn shows as less than it is.
+"""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from pathlib import Path
+from statistics import fmean
+from types import ModuleType
+
+import pandas as pd
+import torch
+from rich.progress import track
+
+import baselines.accumulate.memory as memory
+import baselines.accumulate.method as method_by_rule
+from methods.ours.experiments.command import add_clips, print_gains, read_cells
+from rlbench import registry
+from rlbench.clips.stored import open_clip
+from rlbench.ops import accumulation, antilag
+from rlbench.run import run_clip
+
+PROGRAM = "python -m methods.ours.experiments.memory_constants"
+AS_THEY_ARE = "as they are"
+
+Constants = dict[tuple[ModuleType, str], float]
+SURFACE: Constants = {(accumulation, "SURFACE_FALLOFF"): 0.25}
+CHANGES: Mapping[str, Constants] = {
+    AS_THEY_ARE: {},
+    "fade with the surface 1": {(accumulation, "SURFACE_FALLOFF"): 1.0},
+    "fade with the surface 0.5": {(accumulation, "SURFACE_FALLOFF"): 0.5},
+    "fade with the surface 0.25": SURFACE,
+    "and with depth 1": SURFACE | {(accumulation, "DEPTH_FALLOFF"): 1.0},
+    "and 0.9 of the old weight": SURFACE | {(memory, "TRUST"): 0.9},
+    "and 0.7 of the old weight": SURFACE | {(memory, "TRUST"): 0.7},
+    "and no blend": SURFACE | {(method_by_rule, "BLEND"): 0.0},
+    "and a blend of 0.45": SURFACE | {(method_by_rule, "BLEND"): 0.45},
+    "and changes from 3 errors": SURFACE | {(antilag, "NOISE_ERRORS"): 3.0},
+}
+
+
+@contextmanager
+def constants(values: Constants) -> Iterator[None]:
+    """Other constants in modules, until the end of the block."""
+    before = {key: getattr(*key) for key in values}
+    try:
+        for key, value in values.items():
+            setattr(*key, value)
+        yield
+    finally:
+        for key, value in before.items():
+            setattr(*key, value)
+
+
+def measure_clip(folder: Path, spp: float, name: str) -> Iterator[dict[str, object]]:
+    """PSNR in dB with each change, the mean over the frames of a clip."""
+    psnr, device = registry.load_plugin("metrics", "psnr"), torch.device("cpu")
+    for label, values in CHANGES.items():
+        method = registry.load_method(name, device)  # no reprojection of another change is kept
+        clip, scores = open_clip(folder, method.traits.inputs, pool=method.traits.pool), []
+        with constants(values):
+            for result in run_clip(method, clip, spp):
+                reference = result.frame.reference
+                compared = psnr.compare(result.image, reference.half_a, reference.half_b)
+                scores += psnr.score(compared).tolist()
+        yield {"clip": clip.name, "spp": spp, "constants": label, "psnr": fmean(scores)}
+
+
+def main() -> None:
+    """Run the command line."""
+    parser = argparse.ArgumentParser(
+        prog=PROGRAM,
+        description="PSNR with other constants of the memory over that as they are, in dB.",
+    )
+    add_clips(parser)
+    parser.add_argument("--method", default="ours", help="a row with a memory (default: ours)")
+    arguments = parser.parse_args()
+    cells = read_cells(parser, arguments)
+    rows = [
+        row for cell in track(cells, "measuring") for row in measure_clip(*cell, arguments.method)
+    ]
+    table = pd.DataFrame(rows).pivot_table(
+        index="constants", columns="spp", values="psnr", sort=False
+    )
+    print_gains("constants", table - table.loc[AS_THEY_ARE])
+
+
+if __name__ == "__main__":
+    main()
