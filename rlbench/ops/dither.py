@@ -68,7 +68,7 @@ def _divide_all(shares: Tensor, totals: Tensor, thresholds: Tensor) -> Tensor:
     levels: list[Array] = [shares]
     while levels[-1].shape[1:] != (1, 1):
         parts = _add_pairs(levels[-1])
-        if isinstance(parts, Tensor) and not parts.is_cuda and parts[0].numel() <= SMALL_LEVEL:
+        if isinstance(parts, Tensor) and _is_small(parts):
             parts = parts.numpy()
         levels.append(parts)
     counts: Array = totals
@@ -76,6 +76,10 @@ def _divide_all(shares: Tensor, totals: Tensor, thresholds: Tensor) -> Tensor:
         kind = torch.asarray if isinstance(parts, Tensor) else np.asarray
         counts = _divide(kind(counts), parts, kind(threshold))
     return torch.asarray(counts)
+
+
+def _is_small(parts: Tensor) -> bool:
+    return parts.device.type == "cpu" and parts[0].numel() <= SMALL_LEVEL
 
 
 class _Graph:
@@ -153,11 +157,11 @@ def _divide(counts: Array, parts: Array, threshold: Array) -> Array:
 
 def _alternate(threshold: Array, counts: Array, axis: int) -> Array:
     """The threshold, and its complement in every second line along `axis`."""
-    sides = [1, 1, 1]
-    sides[axis] = counts.shape[axis]
-    thresholds = threshold + 0 * counts[:, : sides[1], : sides[2]]
-    line = (slice(None),) * axis + (slice(1, None, 2),)
-    thresholds[line] = 2**THRESHOLD_BITS - 1 - thresholds[line]
+    one_line = counts[:, :1] if axis == 2 else counts[:, :, :1]
+    thresholds = threshold + 0 * one_line
+    every_second = thresholds[:, :, 1::2] if axis == 2 else thresholds[:, 1::2]
+    every_second *= -1
+    every_second += 2**THRESHOLD_BITS - 1
     return thresholds
 
 
