@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from itertools import pairwise
-from typing import NamedTuple
+from typing import Literal, NamedTuple
 
 import torch
 from jaxtyping import Float
@@ -84,7 +84,7 @@ class Sampler(nn.Module):
     """
 
     def __init__(
-        self, inputs: int, widths: tuple[int, ...], paced: bool = False, stride: int = 1
+        self, inputs: int, widths: tuple[int, ...], paced: bool = False, stride: Literal[1, 2] = 1
     ) -> None:
         """Build with `inputs` channels, and `widths` channels at the levels, finest first."""
         super().__init__()

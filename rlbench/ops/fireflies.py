@@ -12,7 +12,7 @@ from torch.nn import functional as F
 from rlbench.ops.box_filter import box_mean
 from rlbench.ops.color import luminance
 from rlbench.ops.exposure import log_average
-from rlbench.ops.sanitize import is_within, repair_history, sanitize_radiance
+from rlbench.ops.sanitize import repair_history, sanitize_radiance
 from rlbench.ops.transfer import HALF_MAX
 
 __all__ = [
@@ -133,10 +133,7 @@ def _repair_radiance(history: Tensor) -> tuple[Tensor, Tensor]:
     neighbours = _max_of_neighbours(light)
     plausible = torch.minimum(light, neighbours).where(neighbours >= 0, light)
     average = log_average(plausible)
-    most = HISTORY_CONTRAST * average
-    if is_within(history, 0.0, float(most.detach().amin())):
-        return history, average
-    return repair_history(history, 0.0, most), average
+    return repair_history(history, 0.0, HISTORY_CONTRAST * average), average
 
 
 def _mean(radiance: Tensor, counts: Tensor) -> Tensor:

@@ -17,7 +17,6 @@ from rlbench.ops.transfer import HALF_MAX
 
 __all__ = [
     "RULES",
-    "is_within",
     "repair_history",
     "sanitize_albedo",
     "sanitize_depth",
@@ -38,7 +37,7 @@ def sanitize_radiance(radiance: Float[Tensor, "*n 3 h w"]) -> Float[Tensor, "*n 
 
     65504 is the largest half float; the square of the result is finite in float32.
     """
-    if is_within(radiance, 0.0, HALF_MAX):
+    if _is_within(radiance, 0.0, HALF_MAX):
         return radiance
     finite = radiance.isfinite().all(-3, keepdim=True)
     return torch.where(finite, radiance, 0.0).clamp(0, HALF_MAX)
@@ -49,7 +48,7 @@ def sanitize_albedo(albedo: Float[Tensor, "n 3 h w"]) -> Float[Tensor, "n 3 h w"
 
     A pixel that is not finite, or more than 0.5 outside that range, gets a neighbour's albedo.
     """
-    if is_within(albedo, 0.0, 1.0):
+    if _is_within(albedo, 0.0, 1.0):
         return albedo
     valid = ((albedo - 0.5).abs() <= 0.5 + ALBEDO_TOLERANCE).all(1, keepdim=True)
     return _fill_from_neighbours(albedo, valid, 0.0).clamp(0, 1)
@@ -81,7 +80,7 @@ def sanitize_depth(depth: Float[Tensor, "n 1 h w"]) -> Float[Tensor, "n 1 h w"]:
 def sanitize_motion(motion: Float[Tensor, "n 2 h w"]) -> Float[Tensor, "n 2 h w"]:
     """Motion; a pixel that is not finite gets a neighbour's motion."""
     limit = torch.finfo(motion.dtype).max
-    if is_within(motion, -limit, limit):
+    if _is_within(motion, -limit, limit):
         return motion
     valid = motion.isfinite().all(1, keepdim=True)
     return _fill_from_neighbours(motion, valid, OUTSIDE * max(motion.shape[-2:]))
@@ -111,7 +110,8 @@ def repair_history(
     >>> repair_history(torch.tensor([[[[0.5, torch.nan, 0.25]]]]), least=0.0, most=1.0)
     tensor([[[[0.5000, 0.5000, 0.2500]]]])
     """
-    if isinstance(most, float) and is_within(history, least, most):
+    lowest = most if isinstance(most, float) else float(most.detach().amin())
+    if _is_within(history, least, lowest):
         return history
     valid = ((history >= least) & (history <= most)).all(1, keepdim=True)  # False for NaN
     if valid.all():
@@ -127,7 +127,7 @@ RULES: Mapping[str, Callable[[Tensor], Tensor]] = {  # by the first word of a bu
 }
 
 
-def is_within(values: Tensor, low: float, high: float) -> bool:
+def _is_within(values: Tensor, low: float, high: float) -> bool:
     """Whether all values lie in [low, high]; False for NaN. One pass over the values."""
     if not values.numel():
         return True

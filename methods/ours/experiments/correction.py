@@ -11,7 +11,6 @@ import argparse
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from statistics import fmean
 
 import pandas as pd
 from jaxtyping import Float
@@ -22,9 +21,8 @@ from methods.ours.experiments.command import add_clips, print_gains, read_cells
 from methods.ours.history import RecurrentState
 from methods.ours.method import Ours
 from rlbench import registry
-from rlbench.clips.stored import open_clip
 from rlbench.frames import GBuffer, Samples
-from rlbench.run import run_clip
+from rlbench.training.train_state import validate
 from rlbench.wrappers import MethodWrapper
 
 PROGRAM = "python -m methods.ours.experiments.correction"
@@ -47,16 +45,12 @@ class ScaledAction(MethodWrapper[Ours]):
 
 def measure_clip(folder: Path, spp: float, scales: Sequence[float]) -> Iterator[dict[str, object]]:
     """PSNR in dB at each scale, the mean over the frames of a clip."""
-    method, psnr = registry.load_method("ours", "cpu"), registry.load_plugin("metrics", "psnr")
+    method = registry.load_method("ours", "cpu")
     assert isinstance(method, Ours)
-    clip = open_clip(folder, method.traits.inputs, pool=method.traits.pool)
     for scale in scales:
-        scores = []
-        for result in run_clip(ScaledAction(method, scale), clip, spp):
-            reference = result.frame.reference
-            compared = psnr.compare(result.image, reference.half_a, reference.half_b)
-            scores += psnr.score(compared).tolist()
-        yield {"clip": clip.name, "spp": spp, "scale": scale, "psnr": fmean(scores)}
+        scaled = ScaledAction(method, scale)
+        psnr = validate(scaled, {folder.name: [folder]}, [spp], "cpu").psnr
+        yield {"clip": folder.name, "spp": spp, "scale": scale, "psnr": psnr}
 
 
 def main() -> None:

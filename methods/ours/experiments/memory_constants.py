@@ -11,20 +11,17 @@ import argparse
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
-from statistics import fmean
 from types import ModuleType
 
 import pandas as pd
-import torch
 from rich.progress import track
 
 import baselines.accumulate.memory as memory
 import baselines.accumulate.method as method_by_rule
 from methods.ours.experiments.command import add_clips, print_gains, read_cells
 from rlbench import registry
-from rlbench.clips.stored import open_clip
 from rlbench.ops import accumulation, antilag
-from rlbench.run import run_clip
+from rlbench.training.train_state import validate
 
 PROGRAM = "python -m methods.ours.experiments.memory_constants"
 AS_THEY_ARE = "as they are"
@@ -60,16 +57,11 @@ def constants(values: Constants) -> Iterator[None]:
 
 def measure_clip(folder: Path, spp: float, name: str) -> Iterator[dict[str, object]]:
     """PSNR in dB with each change, the mean over the frames of a clip."""
-    psnr, device = registry.load_plugin("metrics", "psnr"), torch.device("cpu")
+    method = registry.load_method(name, "cpu")
     for label, values in CHANGES.items():
-        method = registry.load_method(name, device)  # no reprojection of another change is kept
-        clip, scores = open_clip(folder, method.traits.inputs, pool=method.traits.pool), []
         with constants(values):
-            for result in run_clip(method, clip, spp):
-                reference = result.frame.reference
-                compared = psnr.compare(result.image, reference.half_a, reference.half_b)
-                scores += psnr.score(compared).tolist()
-        yield {"clip": clip.name, "spp": spp, "constants": label, "psnr": fmean(scores)}
+            psnr = validate(method, {folder.name: [folder]}, [spp], "cpu").psnr
+        yield {"clip": folder.name, "spp": spp, "constants": label, "psnr": psnr}
 
 
 def main() -> None:
