@@ -26,7 +26,7 @@ __all__ = [
 
 LEAST_SPP = 1e-6  # a weight below it counts as none
 PYRAMID_LEVELS = 5  # of the pyramid that holes are filled from: 1/2 to 1/32
-SURFACE_FALLOFF = 2.0  # of similarity, per difference of normal and albedo, summed over channels
+SURFACE_FALLOFF = 0.25  # of similarity, per difference of normal and albedo, summed over channels
 DEPTH_FALLOFF = 5.0  # of similarity, per relative difference of depth
 
 
