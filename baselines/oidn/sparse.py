@@ -26,6 +26,7 @@ from rlbench.ops.padding import pad
 from rlbench.wrappers import MethodWrapper
 
 NEAR, FAR = 0.75, 0.25  # bilinear weights of the two coarse pixels next to a fine one, each axis
+EDGE_FALLOFF = 2.0  # of similarity, per difference of normal and albedo: light stops at edges
 MIN_SIMILARITY = 1e-3  # added to all, so that a pixel unlike its neighbours gets their plain mean
 
 
@@ -88,7 +89,7 @@ def upsample_jointly(
     total = weights = torch.zeros((), device=image.device)
     for (row, of_row), (column, of_column) in product(rows, columns):
         tap = coarse[..., row, :][..., column]
-        weight = of_row * of_column * (feature_similarity(fine, tap) + MIN_SIMILARITY)
+        weight = of_row * of_column * (feature_similarity(fine, tap, EDGE_FALLOFF) + MIN_SIMILARITY)
         total = total + weight * image[..., row, :][..., column]
         weights = weights + weight
     return total / weights

@@ -26,7 +26,7 @@ __all__ = [
 
 LEAST_SPP = 1e-6  # a weight below it counts as none
 PYRAMID_LEVELS = 5  # of the pyramid that holes are filled from: 1/2 to 1/32
-SURFACE_FALLOFF = 0.25  # of similarity, per difference of normal and albedo, summed over channels
+SURFACE_FALLOFF = 0.25  # of history, per difference of normal and albedo, summed over channels
 DEPTH_FALLOFF = 5.0  # of similarity, per relative difference of depth
 
 
@@ -83,15 +83,18 @@ def surface_features(
 
 
 def feature_similarity(
-    current: Float[Tensor, "n 7 h w"], previous: Float[Tensor, "n 7 h w"]
+    current: Float[Tensor, "n 7 h w"],
+    previous: Float[Tensor, "n 7 h w"],
+    surface_falloff: float | None = None,
 ) -> Float[Tensor, "n 1 h w"]:
     """Similarity of two G-buffers, in [0, 1]: 1 where normal, albedo and depth are the same.
 
-    Channels are those of `surface_features`.
+    Channels are those of `surface_features`. `surface_falloff` is SURFACE_FALLOFF unless given.
     """
+    falloff = SURFACE_FALLOFF if surface_falloff is None else surface_falloff
     surface = (current[:, :6] - previous[:, :6]).abs().sum(1, keepdim=True)
     depth = (current[:, 6:] - previous[:, 6:]).abs() / (current[:, 6:] + 1e-3)
-    return torch.exp(-SURFACE_FALLOFF * surface - DEPTH_FALLOFF * depth)
+    return torch.exp(-falloff * surface - DEPTH_FALLOFF * depth)
 
 
 def fill_holes(

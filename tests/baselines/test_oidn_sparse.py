@@ -10,6 +10,7 @@ from torch import Tensor
 
 from baselines.oidn.method import Oidn
 from baselines.oidn.sparse import (
+    EDGE_FALLOFF,
     FAR,
     MIN_SIMILARITY,
     NEAR,
@@ -65,7 +66,9 @@ def test_joint_upsampling_equals_a_loop():
         total, weights = torch.zeros(2), 0.0
         for (row, of_row), (column, of_column) in product(taps(y, 4), taps(x, 5)):
             similar = feature_similarity(
-                fine[..., y : y + 1, x : x + 1], coarse[..., row : row + 1, column : column + 1]
+                fine[..., y : y + 1, x : x + 1],
+                coarse[..., row : row + 1, column : column + 1],
+                EDGE_FALLOFF,
             )
             weight = of_row * of_column * (float(similar) + MIN_SIMILARITY)
             total, weights = total + weight * image[0, :, row, column], weights + weight

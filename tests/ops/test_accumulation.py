@@ -163,7 +163,7 @@ def test_the_same_surface_has_similarity_one_and_another_has_less():
     other[:, 3:6] = 1 - other[:, 3:6]
     assert torch.equal(feature_similarity(features, features), torch.ones(1, 1, 5, 6))
     difference = (features - other)[:, 3:6].abs().sum(1, keepdim=True)
-    torch.testing.assert_close(feature_similarity(features, other), torch.exp(-2 * difference))
+    torch.testing.assert_close(feature_similarity(features, other), torch.exp(-difference / 4))
 
 
 def test_networks_read_the_relative_deviation_of_the_samples():

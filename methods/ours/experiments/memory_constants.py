@@ -27,18 +27,18 @@ PROGRAM = "python -m methods.ours.experiments.memory_constants"
 AS_THEY_ARE = "as they are"
 
 Constants = dict[tuple[ModuleType, str], float]
-SURFACE: Constants = {(accumulation, "SURFACE_FALLOFF"): 0.25}
 CHANGES: Mapping[str, Constants] = {
     AS_THEY_ARE: {},
+    "fade with the surface 2": {(accumulation, "SURFACE_FALLOFF"): 2.0},
     "fade with the surface 1": {(accumulation, "SURFACE_FALLOFF"): 1.0},
     "fade with the surface 0.5": {(accumulation, "SURFACE_FALLOFF"): 0.5},
-    "fade with the surface 0.25": SURFACE,
-    "and with depth 1": SURFACE | {(accumulation, "DEPTH_FALLOFF"): 1.0},
-    "and 0.9 of the old weight": SURFACE | {(memory, "TRUST"): 0.9},
-    "and 0.7 of the old weight": SURFACE | {(memory, "TRUST"): 0.7},
-    "and no blend": SURFACE | {(method_by_rule, "BLEND"): 0.0},
-    "and a blend of 0.45": SURFACE | {(method_by_rule, "BLEND"): 0.45},
-    "and changes from 3 errors": SURFACE | {(antilag, "NOISE_ERRORS"): 3.0},
+    "no fade with the surface": {(accumulation, "SURFACE_FALLOFF"): 0.0},
+    "fade with depth 1": {(accumulation, "DEPTH_FALLOFF"): 1.0},
+    "0.9 of the old weight": {(memory, "TRUST"): 0.9},
+    "0.7 of the old weight": {(memory, "TRUST"): 0.7},
+    "no blend": {(method_by_rule, "BLEND"): 0.0},
+    "a blend of 0.45": {(method_by_rule, "BLEND"): 0.45},
+    "changes from 3 errors": {(antilag, "NOISE_ERRORS"): 3.0},
 }
 
 
