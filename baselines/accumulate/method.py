@@ -70,7 +70,8 @@ class Accumulate:
     Spatiotemporal Variance-Guided Filtering) and with the distance of normal, albedo and depth;
     rejection where new samples contradict the history (`rlbench.ops.antilag`, after Schied et al.
     2018); holes filled from their neighbourhood; 0.3 of the previous image blended in. Adaptive
-    variants sample by a rule of `baselines.accumulate.density`. No constant was tuned.
+    variants sample by a rule of `baselines.accumulate.density`. One constant was tuned, on preset
+    `development` and others: how fast history fades with the surface (docs/development.md).
     """
 
     config: Config
