@@ -61,7 +61,7 @@ def check_other_rules_tie() -> None:
 
 def check_contrast_below_one_spp() -> None:
     cell = read_difference("unseen.md", "0.5", "accumulate/contrast")
-    assert parse_gap(cell).mean == -2.09
+    assert parse_gap(cell).mean == -2.18
     assert cell.strip("*").endswith("]")  # also after Holm's correction, which would mark it
     assert name_verdict(parse_gap(cell), "dB") == TRAILS
 
@@ -90,11 +90,16 @@ def read_real(title: str, row: str, spp: str = "1") -> float:
     return float(cells[header.index(f"{spp} spp")].split("[")[0].strip(" *"))
 
 
-def check_contrast_is_first_on_mini() -> None:
+def check_contrast_on_mini_and_on_real() -> None:
     lines = README.split("<!-- table: ")[1].split("<!-- /table -->")[0].splitlines()
     rows = [[cell.strip("` ") for cell in line.split("|")[1:-1]] for line in lines[3:] if line]
-    at_one = {row[0]: float(row[2]) for row in rows if row[2] != "-"}
-    assert max(at_one, key=lambda name: at_one[name]) == "accumulate/contrast"
+    ours, contrast = (
+        [float(cell) for cell in next(row for row in rows if row[0] == name)[1:]]
+        for name in ("ours", "accumulate/contrast")
+    )
+    behind = [round(a - b, 2) for a, b in zip(ours, contrast, strict=True)]
+    assert all(abs(gap) <= 0.1 for gap in behind[1:4])  # mini from 1 spp on
+    assert 0.55 <= behind[5] <= 0.65  # real, 1 spp
 
 
 def check_blotches_of_contrast() -> None:
@@ -105,7 +110,7 @@ def check_blotches_of_contrast() -> None:
 
 def check_three_scenes_do_not_separate() -> None:
     header, *rows = read_rows("real.md", REAL_PSNR)
-    first, *others = (cells[header.index("1 spp")] for cells in rows[1:8])
+    first, *others = (cells[header.index("1 spp")] for cells in rows[1:7])
     assert "[" not in first
     assert all(cell.endswith(("tie", "not resolved")) for cell in others)
 
@@ -116,18 +121,17 @@ def read_winners() -> list[dict[str, str]]:
 
 
 def read_wins() -> list[dict[str, str]]:
-    return [row for row in read_winners() if row["method"] == "ours/A1"]
+    return [row for row in read_winners() if row["method"] == "ours/latent-by-rule"]
 
 
-def check_where_the_surrogate_wins() -> None:
+def check_where_the_latent_state_wins() -> None:
     assert len(read_wins()) > len(read_winners()) / 2
 
 
-def check_its_lead_over_a_rule_is_not_resolved() -> None:
+def check_its_lead_is_not_resolved() -> None:
     wins = read_wins()
     assert {row["is_open"] for row in wins} == {"True"}
-    by_rule = {"ours/latent-by-rule", "accumulate/contrast", "accumulate/intel"}
-    assert {row["runner_up"] for row in wins} <= by_rule
+    assert sum(row["runner_up"] == "ours/latent" for row in wins) > 0.9 * len(wins)
 
 
 def check_hatching_is_what_the_interval_says() -> None:
@@ -138,23 +142,23 @@ def check_hatching_is_what_the_interval_says() -> None:
 
 
 CLAIMS: dict[str, Callable[[], None]] = {
-    "is first of this table on `mini` at 1 spp": check_contrast_is_first_on_mini,
+    "is within 0.1 dB of `ours` on `mini` from 1 spp on, and 0.6 dB behind it on `real` at 1 spp": (
+        check_contrast_on_mini_and_on_real
+    ),
     "more than twice the [blotches](docs/reference/metrics.md#blotches) of `oidn` on `real`": (
         check_blotches_of_contrast
     ),
-    "Three scenes do not separate the first seven rows at 1 spp": (
+    "Three scenes do not separate the first six rows at 1 spp": (
         check_three_scenes_do_not_separate
     ),
     "`ours/by-rule` and `accumulate/tuned`, whose densities are rules, tie with `ours` at 1, 2 and "
     "4 spp": check_other_rules_tie,
-    "At 0.5 spp `ours` leads `accumulate/contrast` by 2.09 dB": check_contrast_below_one_spp,
+    "At 0.5 spp `ours` leads `accumulate/contrast` by 2.18 dB": check_contrast_below_one_spp,
     "on a first frame it is behind `oidn/tuned` at 1 and 2 spp": check_first_frame,
-    "`ours/A1`, whose sampler learns by a surrogate gradient, is best in most of the map": (
-        check_where_the_surrogate_wins
-    ),
-    "Nowhere is its lead resolved over the runner-up, which has a density by rule": (
-        check_its_lead_over_a_rule_is_not_resolved
-    ),
+    "`ours/latent-by-rule`, whose network reads a latent state and whose density is a rule, is "
+    "best in most of the map": check_where_the_latent_state_wins,
+    "Its lead over the runner-up, nearly everywhere `ours/latent` with a learned density, is "
+    "resolved nowhere": check_its_lead_is_not_resolved,
     "Where the map is hatched, the first two tie, or four scenes do not separate them": (
         check_hatching_is_what_the_interval_says
     ),

