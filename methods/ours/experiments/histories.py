@@ -85,6 +85,7 @@ VARIANTS = {
     "control": Config(),
     "control-through": Config(through=True),
     "two": Config(two=True),
+    "two-through": Config(two=True, through=True),
     "first": Config(first=True),
     "splat": Config(splat=True, through=True),
     "all": Config(two=True, first=True),

@@ -34,6 +34,10 @@ CONFIGS = {
     # the same length and unroll with and without a latent, from weights that know accumulated light
     "through-0": replace(BY_RULE, bptt=6, denoiser_start="accumulated"),
     "through-8": replace(BY_RULE, latent=8, bptt=6, denoiser_start="accumulated"),
+    "through-kernel-5": replace(
+        BY_RULE, latent=4, bptt=6, kernel_taps=25, denoiser_start="accumulated"
+    ),
+    "ours-through": replace(OURS, bptt=6),
     "kernel-3": replace(BY_RULE, latent=4, bptt=3, kernel_taps=9),
     "kernel-5": replace(BY_RULE, latent=4, bptt=3, kernel_taps=25),
     "tuned": replace(BY_RULE, bptt=3, denoiser_start="tuned"),
