@@ -22,6 +22,7 @@ from rlbench.ops.accumulation import (
     feature_similarity,
     fill_holes,
     frame_radiance,
+    is_cut,
     surface_features,
 )
 from rlbench.ops.antilag import history_confidence
@@ -94,6 +95,7 @@ def reproject_memory(gbuffer: GBuffer, memory: Memory) -> History:
 
     current = surface_features(gbuffer.normal, gbuffer.albedo, gbuffer.depth)
     valid = valid & (memory.age > 0)
+    valid = valid & ~is_cut(current, surface, valid)
     similarity = feature_similarity(current, surface).where(valid, 0.0)
     radiance = AccumulatedRadiance(mean, square, weigh_by_similarity(spp, similarity))
     static = find_static_pixels(similarity, gbuffer.motion)

@@ -12,7 +12,12 @@ from torch import Tensor
 from methods.ours import HistoryMode
 from methods.ours.networks import GBUFFER_CHANNELS, MISSING
 from rlbench.frames import GBuffer, Samples, Size
-from rlbench.ops.accumulation import AccumulatedRadiance, feature_similarity, surface_features
+from rlbench.ops.accumulation import (
+    AccumulatedRadiance,
+    feature_similarity,
+    is_cut,
+    surface_features,
+)
 from rlbench.ops.color import luminance
 from rlbench.ops.radiance_history import (
     find_static_pixels,
@@ -187,6 +192,7 @@ class RadianceHistory(FeatureHistory):
         state = self.truncate(state)
         current = gbuffer_features(gbuffer)
         features, spp, previous, valid = self._bilinear(gbuffer, state)
+        valid = valid & ~is_cut(current, previous, valid)
         features = features.where(valid, MISSING)
         previous_image = state.image.clamp_min(0)
         mean, square, image = reproject_radiance(state.radiance, previous_image, gbuffer.motion)

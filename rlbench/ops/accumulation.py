@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import torch
-from jaxtyping import Float, Int
+from jaxtyping import Bool, Float, Int
 from torch import Tensor
 from torch.nn import functional as F
 
@@ -21,6 +21,7 @@ __all__ = [
     "feature_similarity",
     "fill_holes",
     "frame_radiance",
+    "is_cut",
     "surface_features",
 ]
 
@@ -28,6 +29,8 @@ LEAST_SPP = 1e-6  # a weight below it counts as none
 PYRAMID_LEVELS = 5  # of the pyramid that holes are filled from: 1/2 to 1/32
 SURFACE_FALLOFF = 0.25  # of history, per difference of normal and albedo, summed over channels
 DEPTH_FALLOFF = 5.0  # of similarity, per relative difference of depth
+# a cut: in more than this share of blocks, the mean normal and albedo differ by more than that
+CUT_SHARE, CUT_DIFFERENCE, CUT_BLOCK = 1 / 3, 0.3, 8
 
 
 class AccumulatedRadiance(NamedTuple):
@@ -95,6 +98,26 @@ def feature_similarity(
     surface = (current[:, :6] - previous[:, :6]).abs().sum(1, keepdim=True)
     depth = (current[:, 6:] - previous[:, 6:]).abs() / (current[:, 6:] + 1e-3)
     return torch.exp(-falloff * surface - DEPTH_FALLOFF * depth)
+
+
+def is_cut(
+    current: Float[Tensor, "n 7 h w"],
+    previous: Float[Tensor, "n 7 h w"],
+    valid: Bool[Tensor, "n 1 h w"],
+) -> Bool[Tensor, "n 1 1 1"]:
+    """Does an image show another place than the last one, though its motion does not say so?
+
+    Channels are those of `surface_features`; `previous` is reprojected, and counts where `valid`.
+    Blocks of 8 x 8 pixels are compared by their means, so that noise of the buffers is no cut. On
+    clips without cuts at most 0.15 of the blocks differ, and at least 0.5 after a cut.
+    """
+    weight = pad(valid.to(current.dtype), CUT_BLOCK)
+    change = pad(current[:, :6] - previous[:, :6], CUT_BLOCK) * weight
+    counts = block_mean(weight, CUT_BLOCK)
+    difference = block_mean(change, CUT_BLOCK).abs().sum(1, keepdim=True)
+    differs = (difference > CUT_DIFFERENCE * counts) & (counts > 0.5)
+    share = differs.float().sum((2, 3), keepdim=True)
+    return share > CUT_SHARE * (counts > 0.5).float().sum((2, 3), keepdim=True)
 
 
 def fill_holes(

@@ -201,12 +201,23 @@ def test_radiance_of_another_surface_has_less_weight(after_one):
     similarity = method.reproject(gbuffer, state).similarity
     assert torch.equal(similarity, torch.ones_like(similarity))
     turned = state.gbuffer_features.clone()
-    turned[:, :3] *= -1  # normals
+    turned[:, :3, :, 24:] *= -1  # normals of a quarter of the image: of all would be a cut
     other = replace(state, gbuffer_features=turned)
     weight = method.reproject(gbuffer, other).radiance.accumulated_spp
     solid = frame.gbuffer.depth.isfinite()
+    solid[..., :24] = False
     assert weight[solid].max() < 2 * math.exp(-2 * 0.99 / 4)  # |2n| >= 2 on surfaces
     assert (weight[~solid] == 2).all()
+
+
+def test_after_a_cut_without_motion_that_says_so_there_is_no_history(after_one):
+    method, frame, state = after_one
+    turned = state.gbuffer_features.clone()
+    turned[:, :3, :, 8:] *= -1  # normals
+    other = replace(state, gbuffer_features=turned)
+    history = method.reproject(replace(frame.gbuffer, static=True), other)
+    assert not history.radiance.accumulated_spp.any()
+    assert (history.previous_spp == 1).all()
 
 
 def test_a_weight_that_underflow_would_decide_is_zero(after_one):

@@ -13,6 +13,7 @@ from baselines.accumulate.density import contrast as contrast_of
 from baselines.accumulate.density import mix_with_uniform
 from baselines.oidn.method import Oidn
 from methods.ours import VARIANTS
+from methods.ours.history import gbuffer_features
 from methods.ours.method import assemble
 from methods.ours.policy import BlockReinforce
 from methods.ours.problem import EpisodeProblem
@@ -137,6 +138,7 @@ def test_the_last_layer_of_an_untrained_sampler_reads_contrast_in_the_previous_f
     state.features[:] = 0.1
     state.features[:, :3, :, 32:] += 0.2 * noise
     if method.config.accumulates:
+        state.gbuffer_features[:] = gbuffer_features(frame.gbuffer)  # else there was a cut
         state.image[:] = 0.5
         state.image[..., 32:] += noise
     with torch.no_grad():

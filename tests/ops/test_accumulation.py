@@ -16,7 +16,10 @@ from rlbench.ops.accumulation import (
     feature_similarity,
     fill_holes,
     frame_radiance,
+    is_cut,
+    surface_features,
 )
+from rlbench.ops.reprojection import reproject
 
 SIZE = (1, 40, 56)
 
@@ -164,6 +167,30 @@ def test_the_same_surface_has_similarity_one_and_another_has_less():
     assert torch.equal(feature_similarity(features, features), torch.ones(1, 1, 5, 6))
     difference = (features - other)[:, 3:6].abs().sum(1, keepdim=True)
     torch.testing.assert_close(feature_similarity(features, other), torch.exp(-difference / 4))
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_the_frame_after_a_cut_is_found_by_its_surfaces_alone_also_with_noisy_buffers(seed):
+    size, cut = Size(1, 60, 75), 2
+    generator = torch.Generator().manual_seed(seed)
+    features, found = [], []
+    for frame in procedural_clip(seed, size, 4, cut=cut):
+        albedo = frame.gbuffer.albedo
+        noisy = albedo + 0.3 * torch.randn(albedo.shape, generator=generator)
+        features.append(surface_features(frame.gbuffer.normal, noisy, frame.gbuffer.depth))
+        if len(features) > 1:
+            previous, valid = reproject(features[-2], frame.gbuffer.motion)
+            found.append(bool(is_cut(features[-1], previous, valid)))
+    assert found == [frame == cut for frame in (1, 2, 3)]
+
+
+def test_an_image_without_any_valid_history_is_no_cut_and_each_image_of_a_batch_has_its_own():
+    features = torch.rand(3, 7, 20, 20, generator=torch.Generator().manual_seed(0))
+    other = features.clone()
+    other[1:, 3:6] += 1.0
+    valid = torch.ones(3, 1, 20, 20, dtype=torch.bool)
+    valid[2] = False
+    assert is_cut(features, other, valid).flatten().tolist() == [False, True, False]
 
 
 def test_networks_read_the_relative_deviation_of_the_samples():
