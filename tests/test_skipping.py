@@ -83,13 +83,13 @@ def test_planning_and_denoising_share_one_reprojection(monkeypatch):
 def decoded(monkeypatch) -> Counter[tuple[str, str]]:
     """How often each channel of each file is decoded."""
     counts: Counter[tuple[str, str]] = Counter()
-    read = decode_cache.read_exr
+    read = decode_cache.read_channels
 
     def read_counted(path, names, *size):
         counts.update((path.name, name) for name in names)
         return read(path, names, *size)
 
-    monkeypatch.setattr(decode_cache, "read_exr", read_counted)
+    monkeypatch.setattr(decode_cache, "read_channels", read_counted)
     return counts
 
 

@@ -18,7 +18,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from rlbench.clips.exr import read_exr
+from rlbench.clips.exr import read_channels
 from rlbench.clips.frame_files import (
     channel_names,
     exceeds_float,
@@ -98,7 +98,7 @@ def decode_images(path: Path, names: Sequence[str], header: Header) -> Arrays:
     Raises ClipError where the file is missing, broken, of another size or holds values that are
     not finite, or radiance that is not once it is exposed; depth may be +inf, for background.
     """
-    planes = iter(read_exr(path, channel_names(names), header.height, header.width))
+    planes = iter(read_channels(path, channel_names(names), header.height, header.width))
     arrays = {n: np.stack([next(planes) for _ in channel_names([n])]) for n in names}
     for name, array in arrays.items():
         may_lack = name == "rgb" and "no reference" in header.limitations

@@ -72,7 +72,14 @@ def write_exr(path: Path, channels: Mapping[str, NDArray[np.floating]]) -> None:
 
 
 def read_exr(path: Path, names: Sequence[str], height: int, width: int) -> NDArray[np.floating]:
-    """The channels `names` as [c h w], in the precision of the file.
+    """The channels `names` as [c h w], in the highest precision of one; else as `read_channels`."""
+    return np.stack(read_channels(path, names, height, width))
+
+
+def read_channels(
+    path: Path, names: Sequence[str], height: int, width: int
+) -> list[NDArray[np.floating]]:
+    """The channels `names`, each [h w] in the precision that it has in the file.
 
     Only these channels are unpacked, though OpenEXR decompresses whole chunks with all their
     channels. Raises ClipError where the file is missing, broken, of another size, or has no such
@@ -83,7 +90,7 @@ def read_exr(path: Path, names: Sequence[str], height: int, width: int) -> NDArr
     try:
         header = read_exr_header(path)
         _check(path, header, names, height, width)
-        return np.stack(read_planes(path, header, names))
+        return read_planes(path, header, names)
     except (OSError, RuntimeError, MemoryError, ExrHeaderError) as error:
         raise ClipError(
             f"{path} cannot be decoded, truncated or corrupt ({error}); "

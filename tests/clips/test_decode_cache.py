@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import errno
 from collections.abc import Callable
+from io import BytesIO
 from pathlib import Path
 
 import numpy as np
@@ -66,11 +67,25 @@ def test_a_damaged_file_is_decoded_again(folder, kind):
     )
 
 
+def test_an_image_is_stored_in_its_own_type_whatever_is_decoded_with_it(folder):
+    """Else two processes would replace each other's files by files of another size."""
+    stored = []
+    for inputs in ({"normal"}, {"normal", "depth"}):
+        open_clip(folder, frozenset(inputs)).frame(0)
+        (file,) = paths.decoded_folder().rglob("normal.0000.npy")
+        stored.append(file.read_bytes())
+        file.unlink()
+        for depth in paths.decoded_folder().rglob("depth.0000.npy"):
+            assert np.load(depth).dtype == np.float32
+    assert stored[0] == stored[1]
+    assert np.load(BytesIO(stored[0])).dtype == np.float16
+
+
 def test_an_intact_file_is_hashed_once_per_process(folder, monkeypatch):
     open_clip(folder).frame(0)
     open_clip(folder).frame(0)
     monkeypatch.setattr(decode_cache, "_checksum", None)  # hashing would now be an error
-    monkeypatch.setattr(decode_cache, "read_exr", None)  # and so would decoding
+    monkeypatch.setattr(decode_cache, "read_channels", None)  # and so would decoding
     open_clip(folder).frame(0)
 
 

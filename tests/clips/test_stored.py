@@ -122,9 +122,11 @@ def test_half_references_are_decoded_when_they_are_first_used(folder):
 
 def test_no_image_is_decoded_twice(folder, monkeypatch):
     opened = []
-    read = decode_cache.read_exr
+    read = decode_cache.read_channels
     monkeypatch.setattr(
-        decode_cache, "read_exr", lambda path, *rest: opened.append(path.name) or read(path, *rest)
+        decode_cache,
+        "read_channels",
+        lambda path, *rest: opened.append(path.name) or read(path, *rest),
     )
     open_clip(folder, max_samples=2).frame(0)
     open_clip(folder, max_samples=3).frame(0)

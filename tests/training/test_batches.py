@@ -176,7 +176,7 @@ def test_clips_outside_of_the_cache_are_decoded_once(tmp_path, monkeypatch):
     folder = write_noise(tmp_path / "mine" / "shot", h=16, w=16, frames=1)
     batches = Batches([folder], batch=2, crop=16, sequence_length=1, seed=0)
     list(batches.sequence(0))
-    monkeypatch.setattr(decode_cache, "read_exr", None)  # would raise TypeError
+    monkeypatch.setattr(decode_cache, "read_channels", None)  # would raise TypeError
     frame = batches.sequence(1).frames[0]
     assert frame.reference.mean.shape == (2, 3, 16, 16)
 
