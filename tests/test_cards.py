@@ -101,8 +101,14 @@ MIXED = (
     "oidn/retrained",
     *("ours/paper", "ours/paper-A1", "ours/paper-A2", "ours/paper-C"),
 )
+# those that went on, from 6000 crops of generated scenes, on scenes of all kinds, on a GPU
+CONTINUED = ("dasr", "imcd", "ntas")
 # crops that rows trained on, where they are not 6000; of averages, the sum of the parts
 FRAMES = {
+    "dasr": 55_704,
+    "imcd": 22_960,
+    "ntas": 55_744,
+    "ours/A2": 50_992,
     "ours/paper": 60_006,
     **dict.fromkeys(("ours/paper-A1", "ours/paper-A2", "ours/paper-C"), 43_002),
     **dict.fromkeys(("ours/paper-B1", "ours/paper-B2", "ours/paper-appo"), 2000),
@@ -114,17 +120,21 @@ FRAMES = {
 
 
 def test_rows_that_are_compared_saw_the_same_frames():
-    """All rows but averages, and those of MIXED: these saw the same clips, for other lengths.
+    """All rows but averages, MIXED and CONTINUED, which saw the same clips for other lengths.
 
     `ours/paper-B1`, `-B2` and `-appo` are not trained as long as the recipe: their cards say so.
+    `ours/A2` is an average of its own: half of it saw clips of the kinds that half of `ours` saw.
     """
     frames = {path: FRAMES.get(CARDS[path].name, 6000) for path in TRAINED}
     assert {path: CARDS[path].frames_trained for path in TRAINED} == frames
     assert {CARDS[path].seed for path in TRAINED} == {0}
     mixed = {path for path in TRAINED if CARDS[path].name in MIXED}
     assert len(mixed) == len(MIXED)
-    averages = {p for p in TRAINED if "training.average" in CARDS[p].command} - mixed
-    for group in (averages, mixed, {*TRAINED} - averages - mixed):
+    continued = {path for path in TRAINED if CARDS[path].name in CONTINUED}
+    own = {path for path in TRAINED if CARDS[path].name == "ours/A2"}
+    averages = {p for p in TRAINED if "training.average" in CARDS[p].command} - mixed - own
+    others = {*TRAINED} - averages - mixed - continued
+    for group in (averages, mixed, continued, others - own):
         assert len({tuple(_clips(CARDS[path])) for path in group}) == 1
 
 
