@@ -128,9 +128,9 @@ def check_where_the_latent_state_wins() -> None:
     assert len(read_wins()) > len(read_winners()) / 2
 
 
-def check_its_lead_is_not_resolved() -> None:
+def check_its_lead_is_hardly_resolved() -> None:
     wins = read_wins()
-    assert {row["is_open"] for row in wins} == {"True"}
+    assert sum(row["is_open"] == "False" for row in wins) < 0.01 * len(wins)
     assert sum(row["runner_up"] == "ours/latent" for row in wins) > 0.9 * len(wins)
 
 
@@ -158,7 +158,7 @@ CLAIMS: dict[str, Callable[[], None]] = {
     "`ours/latent-by-rule`, whose network reads a latent state and whose density is a rule, is "
     "best in most of the map": check_where_the_latent_state_wins,
     "Its lead over the runner-up, nearly everywhere `ours/latent` with a learned density, is "
-    "resolved nowhere": check_its_lead_is_not_resolved,
+    "hardly ever resolved": check_its_lead_is_hardly_resolved,
     "Where the map is hatched, the first two tie, or four scenes do not separate them": (
         check_hatching_is_what_the_interval_says
     ),
