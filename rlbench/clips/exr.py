@@ -72,7 +72,10 @@ def write_exr(path: Path, channels: Mapping[str, NDArray[np.floating]]) -> None:
 
 
 def read_exr(path: Path, names: Sequence[str], height: int, width: int) -> NDArray[np.floating]:
-    """The channels `names` as [c h w], in the highest precision of one; else as `read_channels`."""
+    """The channels `names` as [c h w], in the highest precision among them.
+
+    Raises ClipError as `read_channels` does.
+    """
     return np.stack(read_channels(path, names, height, width))
 
 

@@ -108,16 +108,18 @@ def is_cut(
     """Does an image show another place than the last one, though its motion does not say so?
 
     Channels are those of `surface_features`; `previous` is reprojected, and counts where `valid`.
-    Blocks of 8 x 8 pixels are compared by their means, so that noise of the buffers is no cut. On
-    clips without cuts at most 0.15 of the blocks differ, and at least 0.5 after a cut.
+    Blocks of 8 x 8 pixels, most of them valid, are compared by their means, so that noise of the
+    buffers is no cut. On clips without cuts at most 0.15 of the blocks differ, and at least 0.5
+    after a cut (docs/development.md).
     """
     weight = pad(valid.to(current.dtype), CUT_BLOCK)
     change = pad(current[:, :6] - previous[:, :6], CUT_BLOCK) * weight
-    counts = block_mean(weight, CUT_BLOCK)
+    valid_share = block_mean(weight, CUT_BLOCK)
     difference = block_mean(change, CUT_BLOCK).abs().sum(1, keepdim=True)
-    differs = (difference > CUT_DIFFERENCE * counts) & (counts > 0.5)
-    share = differs.float().sum((2, 3), keepdim=True)
-    return share > CUT_SHARE * (counts > 0.5).float().sum((2, 3), keepdim=True)
+    compared = valid_share > 0.5
+    differs = compared & (difference > CUT_DIFFERENCE * valid_share)
+    blocks, changed = (mask.sum((2, 3), keepdim=True) for mask in (compared, differs))
+    return changed > CUT_SHARE * blocks
 
 
 def fill_holes(
