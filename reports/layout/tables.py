@@ -12,13 +12,15 @@ import pandas as pd
 from reports.analysis.differences import ALL_SCENES, LEADS, TRAILS, VERDICT_NOTE
 from reports.analysis.rows import methods_from_elsewhere, nearest_to_one
 from reports.analysis.scores import Scores
+from rlbench.benchmark.results import WIDE, mark_uncertainty, uncertainty
 
 Record = Mapping[Hashable, Any]
 Rows = tuple[tuple[str, ...], ...]
-UNRELIABLE_MARK = "?"  # after a time
-UNRELIABLE_MEANING = (
-    f"{UNRELIABLE_MARK}: an unreliable time, see the list below and rlbench run --retime"
+UNCERTAIN_MEANING = (
+    "±: how far a quiet machine's time may be from it, where that is more than "
+    f"{100 * WIDE:.0f} %; see the list below and rlbench run --retime uncertain"
 )
+CLAIMED_MARK = "*"  # after a time that is claimed of images made elsewhere
 SCORE_NAMES = {
     "psnr": "PSNR",
     "psnr_debiased": "PSNR, debiased",
@@ -84,13 +86,21 @@ def format_number(value: float, number_format: str) -> str:
     return "-" if pd.isna(value) else format(value, number_format)
 
 
-def format_ms(ms: float, unreliable: bool, decimals: int = 1, sign: str = "") -> str:
-    """A time in milliseconds, marked if it is unreliable; `-` without one.
+def uncertainty_of(row: Record, part: str = "frame") -> float:
+    """The `uncertainty` of a time of `Scores.points` or `Scores.overall`; 0 without an interval."""
+    return uncertainty(*(float(row[f"{part}_{end}ms"]) for end in ("", "low_", "high_")))
 
-    >>> format_ms(3.14, unreliable=True), format_ms(3.14, unreliable=False, sign="+")
-    ('3.1?', '+3.1')
+
+def format_ms(row: Record, part: str = "frame", decimals: int = 1) -> str:
+    """A time of `Scores.points` in milliseconds, with its uncertainty where that is large.
+
+    `-` without a time.
+
+    >>> format_ms({"frame_ms": 3.14, "frame_low_ms": 2.5, "frame_high_ms": 3.5})
+    '3.1 ±26 %'
     """
-    return "-" if pd.isna(ms) else f"{ms:{sign}.{decimals}f}{UNRELIABLE_MARK * unreliable}"
+    ms = row[f"{part}_ms"]
+    return "-" if pd.isna(ms) else f"{ms:.{decimals}f}{mark_uncertainty(uncertainty_of(row, part))}"
 
 
 def pivot(

@@ -15,7 +15,7 @@ from __future__ import annotations
 import warnings
 from collections.abc import Collection, Iterable
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Literal
 
 import torch
 
@@ -63,7 +63,7 @@ def run(
     backend: str = EAGER,
     skip_tiles: bool = False,
     limit_frames: int | None = None,
-    retime: bool = False,
+    retime: Literal["uncertain", "all"] | None = None,
     scores_only: bool = False,
     keep_images: bool = False,
     out: Path | str = RESULTS,
@@ -83,7 +83,8 @@ def run(
     where it is installed. `skip_tiles` keeps unchanged tiles of methods with a receptive field, for
     rows `METHOD@tiles`. `cost` is "measured", the name of a cost profile, or a TOML file.
     Results are kept in the folder `out`; cells that it holds already are not measured again.
-    `retime` measures the times of cells again whose scores are there, and no scores; `scores_only`
+    `retime` measures the times of cells again whose scores are there, and no scores: those that are
+    "uncertain", or "all"; `scores_only`
     measures no times, and a later call without it measures those that are missing. `keep_images`
     keeps the image of each frame in the folder `images` of `out`. `on_cell` is called with each
     finished cell.

@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from rlbench import registry
-from rlbench.benchmark.results import NO_GBUFFER, UNRELIABLE
+from rlbench.benchmark.results import NO_GBUFFER, UNCERTAIN, WIDE, uncertainty
 from rlbench.errors import RlbenchError
 from rlbench.registry.near_names import suggest
 from rlbench.system import code_hash, documents, paths, provenance
@@ -30,7 +30,6 @@ PAGE = "docs/how-to/charge-your-renderer.md has one to copy"
 UNKNOWN_GBUFFER = (
     "not known, charged as 0: rlbench render --remeasure-sample-time measures it for presets"
 )
-MAX_SPREAD = 1.25  # p95 / p5 of the time of a sample; beyond it the machine was busy
 
 
 class CostError(RlbenchError, ValueError):
@@ -215,6 +214,7 @@ class Cost:
     gbuffer_ms: float = 0.0  # 0 for a method that reads none, and where it is not known
     gbuffer_convention: str = NO_GBUFFER
     scatter: Scatter = FULL_FRAME  # what samples at adaptive counts cost more
+    interval: tuple[float, float] = (1.0, 1.0)  # of the time of a sample, relative to it
 
 
 def published(profile: CostProfile, header: Header, pool: str) -> Cost:
@@ -246,7 +246,14 @@ def measured(header: Header, machine: str, pool: str = "path") -> Cost:
     if header.device == machine and math.isfinite(known_ms):
         tracer = header.tracer_of_times
         convention += f", {tracer}" * bool(tracer)
-        return Cost(known_ms, convention, _spread_reason(header) or note, _device(tracer, machine))
+        low, high = _interval(header)
+        if is_uncertain(header):
+            note = (
+                f"{UNCERTAIN} a sample took {low * known_ms:.3g} to {high * known_ms:.3g} ms when "
+                "the clip was rendered"
+            )
+        device = _device(tracer, machine)
+        return Cost(known_ms, convention, note, device, interval=(low, high))
     reason = f"rendered on '{header.device}', not here, and "
     if header.scene not in registry.list_entries("scenes"):
         reason += (
@@ -298,15 +305,16 @@ def _device(tracer: str, machine: str) -> str:
     return provenance.machine().gpu if tracer.startswith("cuda") else machine
 
 
-def _spread_reason(header: Header) -> str:
-    """Why the time of a sample in a header must not be believed; empty if it may."""
-    if header.sample_p95_ms <= MAX_SPREAD * header.sample_p5_ms:  # both are 0 where unknown
-        return ""
-    return (
-        f"{UNRELIABLE} a sample took {header.sample_p5_ms:.3g} to {header.sample_p95_ms:.3g} ms "
-        "(p5 to p95) when the clip was rendered; measure it again with rlbench render "
-        "--remeasure-sample-time"
-    )
+def is_uncertain(header: Header) -> bool:
+    """True if the time of a sample in a header has a wide interval."""
+    ms = header.sample_ms
+    return uncertainty(ms, *(end * ms for end in _interval(header))) > WIDE
+
+
+def _interval(header: Header) -> tuple[float, float]:
+    """The interval of a header's time of a sample, relative to it; (1, 1) where it is not known."""
+    ms, low, high = header.sample_ms, header.sample_p5_ms, header.sample_p95_ms
+    return (min(low / ms, 1.0), max(high / ms, 1.0)) if ms > 0 and high > 0 else (1.0, 1.0)
 
 
 def _traced_here(header: Header, machine: str, pool: str) -> tuple[float, str]:

@@ -27,7 +27,7 @@ def decide(
     cost: str = "",
     metric: str = "psnr",
     device: str = "",
-    allow_unreliable: bool = False,
+    strict: bool = False,
     left_out: Sequence[str] = (),
     plugins: str = "",
 ) -> Decision:
@@ -37,8 +37,8 @@ def decide(
     G-buffer; by default it costs as many samples as in the results. `rows` are results as `run`
     returns them; by default those in `folder` are read. `cost` is a cost profile whose times of
     methods, and of a sample, replace those of the results. The answer has `candidates`, the best
-    first. `left_out` and `plugins` are as in `reports.decide`. Raises RlbenchError where no
-    denoiser fits, or rows cannot be compared.
+    first. `strict`, `left_out` and `plugins` are as in `reports.decide`. Raises RlbenchError where
+    no denoiser fits, or rows cannot be compared.
     """
     from reports.decide import decide as decide_rows
     from rlbench.benchmark.results import read
@@ -55,7 +55,7 @@ def decide(
         metric,
         device,
         left_out,
-        allow_unreliable,
+        strict,
         gbuffer_ms,
         given,
         plugins,

@@ -15,7 +15,7 @@ from rlbench.errors import OptionError
 from rlbench.registry.near_names import unknown_name
 from rlbench.system import documents
 
-LEFT_OUT = ("config", "out")  # of the file that a run writes: they belong to one call
+LEFT_OUT = ("config", "out", "retime")  # of the file that a run writes: they belong to one call
 
 
 def use(context: Any, file: Path | None) -> Path | None:

@@ -11,6 +11,7 @@ from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, TextColumn, TimeRemainingColumn
 from rich.table import Table
 
+from rlbench.benchmark.results import mark_uncertainty
 from rlbench.benchmark.run_outcome import RunOutcome
 from rlbench.benchmark.run_plan import Cell, RunPlan, list_cells
 from rlbench.benchmark.runner import ProgressCallbacks
@@ -116,8 +117,13 @@ def _print_scores(outcome: RunOutcome, console: Console) -> None:
         table.add_column(column, justify="left" if column == "method" else "right")
     for row in outcome.scores:
         part = f" ({row.clips} of them)" if 0 < row.clips < clips else ""
-        times = {"inference_ms": row.inference_ms, "frame_ms": row.frame_ms}
-        cells = [f"{_format_number(ms)}{'?' * (n in row.unreliable)}" for n, ms in times.items()]
+        cells = [
+            f"{_format_number(ms)}{mark_uncertainty(share)}"
+            for ms, share in (
+                (row.inference_ms, row.inference_uncertainty),
+                (row.frame_ms, row.frame_uncertainty),
+            )
+        ]
         scores = map(_format_number, (row.psnr, row.psnr_debiased))
         table.add_row(f"{row.method}{part}", f"{row.spp:g}", *scores, *cells)
     console.print(table)

@@ -59,21 +59,18 @@ def decide(
             value="COST",
         ),
     ] = "",
-    allow_unreliable: Annotated[
+    strict: Annotated[
         bool,
-        flag(
-            MEASUREMENT,
-            "--allow-unreliable",
-            "also use times that the clock rejected, with a mark",
-        ),
+        flag(MEASUREMENT, "--strict", "refuse an answer that uncertain times leave open, as in CI"),
     ] = False,
 ) -> None:
     """Name the denoiser with the least error in a frame time.
 
     Reads the results table alone: the expected score with its interval, the runner-up, and the
     cost of a sample and the deadline at which another method wins. Frame time is G-buffer +
-    inference + samples. Times that the clock rejected are not used; the exit code is 1 if all are
-    of this kind, and 2 if no denoiser fits.
+    inference + samples. Where times are uncertain, the answer says by how much, and which other
+    denoiser could be the best. The exit code is 2 if no denoiser fits, and with --strict if
+    uncertain times leave the answer open.
 
     Examples:
 
@@ -97,7 +94,7 @@ def decide(
         cost=cost,
         metric=metric,
         device=device,
-        allow_unreliable=allow_unreliable,
+        strict=strict,
         left_out=left_out,
         plugins=plugin_words(plugin),
     )

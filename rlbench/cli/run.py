@@ -69,9 +69,13 @@ def run(
     ] = None,
     repeats: options.Repeats = 10,
     retime: Annotated[
-        bool,
-        flag(MEASUREMENT, "--retime", "measure the times of existing cells again, and no scores"),
-    ] = False,
+        Literal["uncertain", "all"] | None,
+        option(
+            MEASUREMENT,
+            "measure times of existing cells again, and no scores: those that are uncertain, the "
+            "clips' time of a sample too, or all",
+        ),
+    ] = None,
     scores_only: Annotated[
         bool,
         flag(
@@ -121,7 +125,7 @@ def run(
       rlbench run -m ours,oidn --bf16
       rlbench run -m ours,oidn --backend openvino
       rlbench run -m eaw/still --spp 0.25 --skip-tiles
-      rlbench run -m ours,oidn --retime
+      rlbench run --config results/run.toml --retime uncertain
       rlbench run -m ours,oidn --scores-only
       rlbench run -m ours,oidn --keep-images
       rlbench run -m all --preset standard --takes main --engine ray --out large
