@@ -120,7 +120,8 @@ def _missing_methods(scores: Scores, measured: pd.DataFrame) -> str:
     """Caption lines with the methods that have scores and are not drawn."""
     absent = sorted(set(scores.measured["method"]) - set(measured["method"]))
     untimed = sorted(set(measured.loc[measured["frame_ms"].isna(), "method"]))
-    doubted = {row["method"] for row in measured.to_dict("records") if uncertainty_of(row) > WIDE}
+    means = scores.overall[scores.overall["method"].isin(measured["method"])]
+    doubted = {row["method"] for row in means.to_dict("records") if uncertainty_of(row) > WIDE}
     missing = {
         "Two devices": list(scores.device_mixes),
         "Uncertain times, measured on a busy machine": sorted(doubted),

@@ -130,7 +130,7 @@ def correct_by_holm(records: pd.DataFrame) -> pd.DataFrame:
 
 def holm_mark(verdict: str, p_holm: float) -> str:
     """The mark of a lead that the correction takes away; empty for others."""
-    return HOLM_MARK * (verdict in (LEADS, TRAILS) and p_holm > 1 - LEVEL)
+    return HOLM_MARK if verdict in (LEADS, TRAILS) and p_holm > 1 - LEVEL else ""
 
 
 def difference_notes(records: pd.DataFrame) -> list[str]:

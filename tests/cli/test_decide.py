@@ -63,7 +63,7 @@ def test_scenes_select_and_an_unknown_one_is_refused(folder):
 
 def test_a_deadline_that_nothing_meets_is_an_error_that_names_the_cheapest(folder):
     words = ("decide", "--sample-ms", 4.2, "--frame-ms", 1, "--results", folder)
-    assert "error: no denoiser that was timed here fits 1 ms at 4.2 ms a sample; " in rlbench(
+    assert "error: no denoiser with a time fits 1 ms at 4.2 ms a sample; " in rlbench(
         *words, code=2
     )
 

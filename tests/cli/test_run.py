@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+import shlex
 import signal
 import subprocess
 import sys
@@ -57,26 +58,34 @@ def test_times_are_measured_again_without_scores(run_mean, tmp_path):
     words = (*run_mean, "--spp", 1, "--repeats", 1)
     rlbench(*words)
     before = scores(tmp_path / "r")
-    output = rlbench(*words, "--retime")
+    output = rlbench(*words, "--retime", "all")
     assert "0 cells measured, 0 already in the results, 0 skipped, 1 timed again" in output
     assert scores(tmp_path / "r") == before
-    output = rlbench(*words, "--spp", "1,7", "--retime")
+    output = rlbench(*words, "--spp", "1,7", "--retime", "all")
     assert "1 timed again, 1 without scores and not timed" in output
 
 
-def test_unreliable_times_are_marked_and_explained(run_mean, tmp_path):
+def test_uncertain_times_are_marked_and_can_be_measured_again(run_mean, tmp_path):
     rlbench(*run_mean, "--spp", 1, "--repeats", 1)
     (cell,) = table.cells(tmp_path / "r")
-    busy = {"plan_ms", "denoise_ms", "inference_ms", "frame_ms"}
+    times = {"inference_ms": 10.0, "inference_low_ms": 8.0, "inference_high_ms": 12.5}
     rows = [
-        replace(Row(**row), note="unreliable: busy") if row["metric"] in busy else Row(**row)
-        for row in table.read(tmp_path / "r").to_dict("records")
+        replace(
+            Row(**row),
+            value=times.get(row["metric"], row["value"]),
+            note="uncertain: busy" if row["metric"] == "inference_ms" else "",
+        )
+        for row in table.read(tmp_path / "r").dropna(subset=["value"]).to_dict("records")
     ]
     table.write_cell(tmp_path / "r", cell, rows)
     output = rlbench(*run_mean, "--spp", 1, "--repeats", 1)
-    assert re.search(r"│ mean │ 1 │ [\d.]+ │ [\d.]+ │ [\d.]+\? │", output)
-    assert "1 rows have unreliable times, marked ?: busy" in output
-    assert "repeat the command with --retime" in output
+    assert "│ 10.00 ±25 % │" in output
+    assert "1 row has uncertain times, marked ±: busy" in output
+    words = ("run", "--config", tmp_path / "r" / "run.toml", "--out", tmp_path / "r")
+    assert shlex.join([str(word) for word in (*words, "--retime", "uncertain")]) in output
+    assert "1 timed again" in rlbench(*words, "--retime", "uncertain")
+    (row,) = table.read(tmp_path / "r").query("metric == 'inference_ms'").to_dict("records")
+    assert row["value"] != 10.0
 
 
 def test_clips_of_a_scene_are_selected_together_or_one_by_one(tmp_path):
@@ -112,7 +121,7 @@ def test_only_the_first_frames_are_run_on_request(run_mean, tmp_path):
         (("--engine", "steam"), "'steam' is not one of 'local', 'ray'"),
         (("--weights", "none.safetensors"), "file 'none.safetensors' does not exist"),
         (("--limit-frames", 0), "Invalid value for '--limit-frames'"),
-        (("--retime", "--keep-images"), "error: --retime measures times alone"),
+        (("--retime", "all", "--keep-images"), "error: --retime measures times alone"),
         (("--out", __file__), "Invalid value for '--out'"),
     ],
 )

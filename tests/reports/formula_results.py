@@ -73,15 +73,17 @@ def curve(name, spp, values, fixed_ms, sign=1):
     return Curve(name, spp, units, fixed, spp, 2 * fixed, fixed, fixed, sign)
 
 
-def doubt(rows, *methods, low=0.5, high=2.0):
-    """The rows with intervals of inference times of `methods`, from `low` to `high` of the time."""
-    own = rows[rows["method"].isin(methods)]
-    parts = own[own["metric"].isin(["plan_ms", "denoise_ms"])]
-    keys = [name for name in parts.columns if name not in ("metric", "value")]
-    inference = parts.groupby(keys, as_index=False)["value"].sum().assign(metric="inference_ms")
+def doubt(rows, *methods, low=0.5, high=2.0, scene=None):
+    """The rows with an interval of the inference times of `methods`, relative to these."""
+    is_own = rows["method"].isin(methods) & (rows["scene"].eq(scene) if scene else True)
+    is_inference = rows["metric"].isin(["inference_ms", "inference_low_ms", "inference_high_ms"])
+    parts = rows[is_own & rows["metric"].isin(["plan_ms", "allocate_ms", "denoise_ms"])]
+    keys = [name for name in parts.columns if name not in ("metric", "value", "convention", "note")]
+    inference = parts.groupby(keys, as_index=False)["value"].sum()
+    inference = inference.assign(convention="sum", note="")
     ends = [
         inference.assign(metric=f"inference_{end}_ms", value=share * inference["value"])
         for end, share in (("low", low), ("high", high))
     ]
-    noted = inference.assign(note=f"{UNCERTAIN} the machine was busy")
-    return pd.concat([rows, noted, *ends], ignore_index=True)
+    noted = inference.assign(metric="inference_ms", note=f"{UNCERTAIN} the machine was busy")
+    return pd.concat([rows[~(is_own & is_inference)], noted, *ends], ignore_index=True)
