@@ -69,7 +69,7 @@ def run(stressed: StressedMethod, is_quick: bool) -> Iterator[CheckResult]:
     yield _judge_shifts(stressed, size, frames)
     yield _judge_sample_order(stressed, clip)
     yield from _judge_plain(stressed, clip)
-    if stressed.traits.temporal:
+    if stressed.keeps_state:
         size, after = (QUICK_SIZE, QUICK_AFTER) if is_quick else (EVENT_SIZE, AFTER)
         yield from _judge_flash(stressed, size, after)
         yield from _judge_teleports(stressed, size, after)
