@@ -25,6 +25,7 @@ from reports.layout.curve_labels import LABEL_DISTANCE, label_curves, label_widt
 from reports.layout.page import Drawing, describe_clips, write_figures
 from reports.layout.style import LineStyle
 from reports.layout.tables import score_name
+from rlbench.benchmark.results import MissingRowsError
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -48,8 +49,8 @@ def write(
     """Write the plot and a CSV of its points, see `write_figures`.
 
     Frame time = gbuffer + plan + allocate + sampling + denoise. Points without a score or time are
-    not plotted; those with an unreliable time are pale and never on the front. Raises ReportError
-    if no point is left.
+    not plotted; those with an unreliable time are pale and never on the front. Raises
+    MissingRowsError if no point is left.
     """
     return write_figures(results, folder, name, _figures, metric)
 
@@ -73,8 +74,8 @@ def plotted_points(scores: Scores) -> pd.DataFrame:
     """The rows of `scores.points` that have a frame time, and their means over scenes.
 
     `front` is true for the points on the Pareto front of their panel, which an unreliable time
-    cannot be on. Raises ReportError if no point has a time, or if there are too many scenes for
-    panels and no mean over them.
+    cannot be on. Raises MissingRowsError if no point has a time, and ReportError if there are too
+    many scenes for panels and no mean over them.
     """
     per_scene = scores.points
     mean = scores.overall.assign(scene=OVERALL)
@@ -128,7 +129,7 @@ def _check_points(points: pd.DataFrame, scores: Scores) -> None:
     if points.empty:
         rows = scores.rows
         measured = sorted(set(rows.loc[rows["value"].notna(), "metric"])) or ["nothing"]
-        raise ReportError(
+        raise MissingRowsError(
             f"no method has all of {scores.metric}, plan_ms, denoise_ms and sample_ms on a scene; "
             f"the results have {', '.join(measured)}. Measure times with rlbench run; its option "
             "--cost takes sample_ms from a published profile"
