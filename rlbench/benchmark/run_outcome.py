@@ -110,7 +110,7 @@ def _remarks(rows: pd.DataFrame) -> list[str]:
     if count := len(frames[["method", "target_spp"]].drop_duplicates()):
         reason = frames["note"].iloc[0].removeprefix(results.UNRELIABLE).strip()
         found.append(
-            f"{count} rows have unreliable times, marked ?: {reason}. When the machine is idle, "
+            f"{count} row{'s have' if count > 1 else ' has'} unreliable times, marked ?: {reason}. When the machine is idle, "
             "repeat the command with --retime"
         )
     scored = rows[(rows["metric"] == "psnr") & rows["value"].notna() & (rows["note"] != "")]

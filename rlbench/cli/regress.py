@@ -13,6 +13,7 @@ from rlbench.cli import options
 from rlbench.cli.arguments import split_names
 from rlbench.cli.methods import load_plugins
 from rlbench.cli.options import MEASUREMENT, OUTPUT, file, flag, folder, option
+from rlbench.cli.verbosity import note
 from rlbench.errors import OptionError, RlbenchError
 from rlbench.registry.near_names import unknown_name
 
@@ -71,8 +72,9 @@ def regress(
 ) -> None:
     """Compare scores, and ratios of times, with a baseline.
 
-    The exit code is 1 if a score fell by more than its cell is allowed, if a cell is missing, or if
-    a ratio of times exceeds its gate beyond doubt. Smaller falls are shown. --update writes a
+    With a baseline that ships, the rows of the results are compared; with -m all, or a baseline of
+    your own, a row that the results lack is missing. The exit code is 1 if a score fell by more than its
+    cell is allowed, if a cell of such a row is missing, or if a ratio of times exceeds its gate beyond doubt. Smaller falls are shown. --update writes a
     baseline of your own; where the results have several seeds, each cell is allowed what reruns
     vary by.
 
@@ -85,7 +87,12 @@ def regress(
       rlbench regress --speed 'ours / oidn <= 1.3'
     """
     load_plugins(plugin)
-    from rlbench.benchmark.regression.baseline import find_baseline, load_baseline, only_preset
+    from rlbench.benchmark.regression.baseline import (
+        find_baseline,
+        load_baseline,
+        only_preset,
+        shipped_baselines,
+    )
     from rlbench.benchmark.regression.comparison import compare
     from rlbench.benchmark.results import read
     from rlbench.system.paths import check_writable
@@ -99,6 +106,12 @@ def regress(
         return
     rows = read(results)
     expected = load_baseline(find_baseline(baseline, only_preset(rows)))
+    is_shipped = not baseline or baseline in shipped_baselines()
+    if names == ["all"]:
+        names = []
+    elif is_shipped and not names:
+        names = sorted(set(rows["method"]))
+        note(_left_out(expected, names))
     if names:
         rows, expected = select_baseline(rows, expected, names)
     comparison = compare(rows, expected, subset=bool(names))
@@ -116,6 +129,11 @@ def regress(
         write_summary(comparison, crops, summary)
         append_to_job_summary(comparison, crops)
     raise typer.Exit(0 if comparison.has_passed else 1)
+
+
+def _left_out(baseline: Baseline, methods: Collection[str]) -> str:
+    count = len({entry.method for entry in baseline.entries} - set(methods))
+    return f"{count} rows of the baseline are not in the results and not compared; -m all needs all"
 
 
 def select_baseline(

@@ -76,10 +76,13 @@ def report(
     """
     load_plugins(plugin)
     from reports.analysis.rows import charge_gbuffer
+    from rlbench.benchmark.results import UNFINISHED
 
     writers = _find_writers(name)
     target = out or check_no_link(results, results / "report")
     rows = charge_gbuffer(read_rows(results, methods), gbuffer_ms)
+    if (results / UNFINISHED).exists():
+        note(f"{results}: rlbench evaluate did not finish, so scores are missing; repeat it")
     names = split_names(methods)
     others = _read_others(name, [Path(each) for each in split_names(against)])
     check_writable(target)

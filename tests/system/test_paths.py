@@ -133,13 +133,15 @@ def test_other_errors_of_the_block_are_not_disguised(tmp_path):
 
 
 def test_a_folder_that_is_removed_meanwhile_is_named(tmp_path):
-    file = tmp_path / "out" / "a.txt"
-    with (
-        pytest.raises(WriteError, match=r"a\.txt cannot be written \(its folder .*out was removed"),
-        paths.atomic_write(file) as temporary,
+    def write():
+        with paths.atomic_write(tmp_path / "out" / "a.txt") as temporary:
+            temporary.write_text("x")
+            shutil.rmtree(tmp_path / "out")
+
+    with pytest.raises(
+        WriteError, match=r"a\.txt cannot be written \(its folder .*out was removed"
     ):
-        temporary.write_text("x")
-        shutil.rmtree(file.parent)
+        write()
 
 
 def test_a_missing_input_is_not_blamed_on_the_folder(tmp_path):
