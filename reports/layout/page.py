@@ -97,8 +97,8 @@ def write_page(
     runs = one_line(", ".join(sorted(set(results["run_id"]))))
     parts += [f"Runs: {runs}\n", *_describe_looks(results)]
     records = [section.records.assign(device=section.device) for section in sections]
-    table = pd.concat(records or [pd.DataFrame()]).to_csv(index=False)
-    texts = {"md": "\n".join(parts), "csv": table, "tex": "\n".join(floats)}
+    numbers: str = pd.concat(records or [pd.DataFrame()]).to_csv(index=False)
+    texts = {"md": "\n".join(parts), "csv": numbers, "tex": "\n".join(floats)}
     files = [folder / f"{name}.{suffix}" for suffix in texts]
     for file, text in zip(files, texts.values(), strict=True):
         with finished_file(file) as unfinished:

@@ -109,9 +109,10 @@ def _remarks(rows: pd.DataFrame) -> list[str]:
     found = []
     if count := len(frames[["method", "target_spp"]].drop_duplicates()):
         reason = frames["note"].iloc[0].removeprefix(results.UNRELIABLE).strip()
+        rows_have = f"{count} rows have" if count > 1 else "1 row has"
         found.append(
-            f"{count} row{'s have' if count > 1 else ' has'} unreliable times, marked ?: {reason}. When the machine is idle, "
-            "repeat the command with --retime"
+            f"{rows_have} unreliable times, marked ?: {reason}. When the machine is idle, repeat "
+            "the command with --retime"
         )
     scored = rows[(rows["metric"] == "psnr") & rows["value"].notna() & (rows["note"] != "")]
     pairs = scored[["method", "note"]].drop_duplicates().sort_values(["method", "note"])

@@ -36,9 +36,9 @@ def decide(
     `sample_ms` is your renderer's time for one sample of every pixel, `gbuffer_ms` that of its
     G-buffer; by default it costs as many samples as in the results. `rows` are results as `run`
     returns them; by default those in `folder` are read. `cost` is a cost profile whose times of
-    methods, if it has any, and of a sample replace those of the results. The answer has `candidates`, the best
-    first. `left_out` and `plugins` are as in `reports.decide`. Raises RlbenchError where no
-    denoiser fits, or rows cannot be compared.
+    methods, if it has any, and of a sample replace those of the results. The answer has
+    `candidates`, the best first. `left_out` and `plugins` are as in `reports.decide`. Raises
+    RlbenchError where no denoiser fits, or rows cannot be compared.
     """
     from reports.decide import decide as decide_rows
     from rlbench.benchmark.cost import MEASURED

@@ -73,10 +73,10 @@ def regress(
     """Compare scores, and ratios of times, with a baseline.
 
     With a baseline that ships, the rows of the results are compared; with -m all, or a baseline of
-    your own, a row that the results lack is missing. The exit code is 1 if a score fell by more than its
-    cell is allowed, if a cell of such a row is missing, or if a ratio of times exceeds its gate beyond doubt. Smaller falls are shown. --update writes a
-    baseline of your own; where the results have several seeds, each cell is allowed what reruns
-    vary by.
+    your own, a row that the results lack is missing. The exit code is 1 if a score fell by more
+    than its cell is allowed, if a cell of such a row is missing, or if a ratio of times exceeds its
+    gate beyond doubt. Smaller falls are shown. --update writes a baseline of your own; where the
+    results have several seeds, each cell is allowed what reruns vary by.
 
     Examples:
 
@@ -87,12 +87,7 @@ def regress(
       rlbench regress --speed 'ours / oidn <= 1.3'
     """
     load_plugins(plugin)
-    from rlbench.benchmark.regression.baseline import (
-        find_baseline,
-        load_baseline,
-        only_preset,
-        shipped_baselines,
-    )
+    from rlbench.benchmark.regression.baseline import find_baseline, load_baseline, only_preset
     from rlbench.benchmark.regression.comparison import compare
     from rlbench.benchmark.results import read
     from rlbench.system.paths import check_writable
@@ -106,12 +101,7 @@ def regress(
         return
     rows = read(results)
     expected = load_baseline(find_baseline(baseline, only_preset(rows)))
-    is_shipped = not baseline or baseline in shipped_baselines()
-    if names == ["all"]:
-        names = []
-    elif is_shipped and not names:
-        names = sorted(set(rows["method"]))
-        note(_left_out(expected, names))
+    names = _compared_rows(names, rows, expected, baseline)
     if names:
         rows, expected = select_baseline(rows, expected, names)
     comparison = compare(rows, expected, subset=bool(names))
@@ -131,9 +121,20 @@ def regress(
     raise typer.Exit(0 if comparison.has_passed else 1)
 
 
-def _left_out(baseline: Baseline, methods: Collection[str]) -> str:
-    count = len({entry.method for entry in baseline.entries} - set(methods))
-    return f"{count} rows of the baseline are not in the results and not compared; -m all needs all"
+def _compared_rows(
+    names: list[str], rows: pd.DataFrame, expected: Baseline, baseline: str
+) -> list[str]:
+    """The methods to compare; empty for all. By default, of a baseline that ships, the measured."""
+    from rlbench.benchmark.regression.baseline import shipped_baselines
+
+    if names == ["all"] or not (names or not baseline or baseline in shipped_baselines()):
+        return []
+    if names:
+        return names
+    measured = set(rows["method"])
+    count = len({entry.method for entry in expected.entries} - measured)
+    note(f"{count} rows of the baseline are not in the results and not compared; -m all needs them")
+    return sorted(measured)
 
 
 def select_baseline(

@@ -30,7 +30,7 @@ def test_summary_has_means_frame_times_scenes_and_one_bold_row(summary_page):
     sampling = 1.98 * sum(SAMPLE_MS.values()) / 4
     expected = [2, 1.98, 0, 5.5, 0, sampling, 11, 16.5 + sampling, 16.5, 1.2 * 16.5]
     assert [float(cell) for cell in line] == pytest.approx(expected, abs=0.005)
-    titles = re.findall(r"### psnr \[dB\], (.*)", summary_page)
+    titles = re.findall(r"### PSNR \[dB\], (.*)", summary_page)
     assert titles == ["mean over scenes", *sorted(SCENES)]
     section = summary_page[summary_page.index("### PSNR [dB], mean over") :].split("\n###")[0]
     assert section.count("**") == 2 * 5
@@ -84,7 +84,7 @@ def test_a_summary_of_many_methods_is_brief(tmp_path):
         page, data, *_ = summary.write(some, tmp_path)
         text = page.read_text()
         assert text.count("### PSNR [dB], city") == scenes
-        assert ("### relmse" in text) == bool(scenes)
+        assert ("### relMSE" in text) == bool(scenes)
         assert "relmse" in set(pd.read_csv(data)["metric"])
         assert text.count("| m00 | 0.5 |") == scenes
         assert text.count("| m00 | 1 |") == 1
