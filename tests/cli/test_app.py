@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import importlib.metadata
+import os
 import re
 import resource
+import subprocess
 
 import pytest
 from typer.testing import CliRunner
@@ -123,6 +125,18 @@ def test_doctor_reports_the_path_tracer_and_packages():
     output = rlbench("doctor")
     assert "path tracer" in output
     assert "torch" in output
+
+
+def test_doctor_ticks_nothing_that_is_missing():
+    for line in rlbench("doctor").splitlines():
+        assert "✓" not in line or "not installed" not in line
+
+
+def test_marks_are_replaced_where_the_terminal_has_none(monkeypatch):
+    words = [sys.executable, "-m", "rlbench", "check", "mean"]
+    environment = {**os.environ, "PYTHONIOENCODING": "ascii"}
+    done = subprocess.run(words, env=environment, capture_output=True, check=True)
+    assert b"  + " in done.stdout
 
 
 def test_doctor_reports_a_broken_plugin(tmp_path):
