@@ -3,13 +3,16 @@
 from __future__ import annotations
 
 import importlib.metadata
+import io
 import re
 import resource
 
 import pytest
+from rich.console import Console
 from typer.testing import CliRunner
 
-from rlbench.checks.result import Verdict
+from rlbench.checks.console import print_lines
+from rlbench.checks.result import Verdict, failed, passed
 from rlbench.cli.app import COMMANDS, app
 from rlbench.cli.doctor import inspect_machine
 from tests.cli.runner import python, rlbench
@@ -132,9 +135,12 @@ def test_doctor_ticks_nothing_that_is_missing():
     assert not [found for found in ticked if "not installed" in found or "no device" in found]
 
 
-def test_marks_are_replaced_where_the_terminal_has_none(monkeypatch):
-    monkeypatch.setenv("PYTHONIOENCODING", "ascii")
-    assert "+ build a Method" in python("-m", "rlbench", "check", "mean")
+def test_marks_are_replaced_where_the_terminal_has_none():
+    file = io.TextIOWrapper(io.BytesIO(), encoding="ascii")
+    results = [passed("a"), failed("b", "found", "remedy")]
+    print_lines(results, Console(file=file))
+    file.flush()
+    assert file.buffer.getvalue() == b"  + a\n  x b: found -> remedy\n"
 
 
 def test_doctor_reports_a_broken_plugin(tmp_path):

@@ -9,7 +9,7 @@ import pytest
 from rlbench import registry
 from rlbench.benchmark import results as table
 from rlbench.benchmark.listing import frames_trained
-from rlbench.benchmark.results import Row
+from rlbench.benchmark.results import UNFINISHED, Row
 from rlbench.cli.selection import select_methods
 from rlbench.errors import OptionError
 from rlbench.weights import read_card
@@ -74,6 +74,15 @@ def test_report_all_skips_what_needs_times_after_scores_alone(plain_results, tmp
     assert "report pareto is skipped: no method has all of psnr, plan_ms" in output
     rlbench("report", "pareto", *words, code=2)
     assert (tmp_path / "figures" / "summary.md").stat().st_size > 0
+
+
+def test_scores_of_an_evaluation_that_did_not_finish_are_reported_with_a_note(
+    plain_results, tmp_path
+):
+    copy = shutil.copytree(plain_results, tmp_path / "evaluated")
+    (copy / UNFINISHED).touch()
+    output = rlbench("report", "summary", "--results", copy)
+    assert "rlbench evaluate did not finish" in output
 
 
 def test_a_method_without_rows_is_an_error_of_report(plain_results):
