@@ -10,7 +10,6 @@ import shutil
 import socket
 import stat
 import tempfile
-import time
 import zlib
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
@@ -143,7 +142,9 @@ def _is_abandoned(temporary: Path) -> bool:
     found = TEMPORARY.fullmatch(temporary.name)
     assert found
     if int(found[1], 16) != _machine_hash():
-        return time.time() - temporary.lstat().st_mtime > ABANDONED_S
+        with tempfile.TemporaryFile(dir=temporary.parent) as now:  # by the clock of the disk
+            age = os.fstat(now.fileno()).st_mtime - temporary.lstat().st_mtime
+        return age > ABANDONED_S
     try:
         os.kill(int(found[2], 16), 0)
     except ProcessLookupError:
