@@ -25,7 +25,7 @@ from reports.layout.curve_labels import LABEL_DISTANCE, label_curves, label_widt
 from reports.layout.page import Drawing, describe_clips, write_figures
 from reports.layout.style import LineStyle
 from reports.layout.tables import score_name, uncertainty_of
-from rlbench.benchmark.results import WIDE
+from rlbench.benchmark.results import WIDE, MissingRowsError
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -49,7 +49,7 @@ def write(
     """Write the plot and a CSV of its points, see `write_figures`.
 
     Frame time = gbuffer + plan + allocate + sampling + denoise. Points without a score or time are
-    not plotted; those with an uncertain time are pale, with a bar. Raises ReportError if no
+    not plotted; those with an uncertain time are pale, with a bar. Raises MissingRowsError if no
     point is left.
     """
     return write_figures(results, folder, name, _figures, metric)
@@ -74,8 +74,8 @@ def plotted_points(scores: Scores) -> pd.DataFrame:
     """The rows of `scores.points` that have a frame time, and their means over scenes.
 
     `uncertain` is true for points whose time has a wide interval, `front` for those on the Pareto
-    front of their panel. Raises ReportError if no point has a time, or if there are too many scenes
-    for panels and no mean over them.
+    front of their panel. Raises MissingRowsError if no point has a time, and ReportError if there
+    are too many scenes for panels and no mean over them.
     """
     per_scene = scores.points
     mean = scores.overall.assign(scene=OVERALL)
@@ -130,7 +130,7 @@ def _check_points(points: pd.DataFrame, scores: Scores) -> None:
     if points.empty:
         rows = scores.rows
         measured = sorted(set(rows.loc[rows["value"].notna(), "metric"])) or ["nothing"]
-        raise ReportError(
+        raise MissingRowsError(
             f"no method has all of {scores.metric}, plan_ms, denoise_ms and sample_ms on a scene; "
             f"the results have {', '.join(measured)}. Measure times with rlbench run; its option "
             "--cost takes sample_ms from a published profile"

@@ -147,15 +147,18 @@ def _render(data: Mapping[str, Any], clips: Sequence[str], error: float) -> str:
         style=sources["style.css"],
         imports=to_json({"imports": modules}),
         data=to_json({**data, "relative_error": error}),
-        clips=[text.replace("</", "<\\/") for text in clips],
+        clips=[_in_script(text) for text in clips],
     )
 
 
 def to_json(document: Any) -> str:
     """JSON that may stand in a script element; numbers that are not finite are null."""
-    return json.dumps(_finite(document), separators=(",", ":"), allow_nan=False).replace(
-        "</", "<\\/"
-    )
+    return _in_script(json.dumps(_finite(document), separators=(",", ":"), allow_nan=False))
+
+
+def _in_script(text: str) -> str:
+    """JSON without `<`, which ends a script element, or begins a comment in it."""
+    return text.replace("<", "\\u003c")
 
 
 def _finite(value: Any) -> Any:

@@ -10,7 +10,7 @@ from __future__ import annotations
 import json
 import math
 from collections.abc import Iterator, Mapping
-from dataclasses import MISSING, dataclass, field, fields, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
@@ -48,17 +48,17 @@ class ProfileTime(NamedTuple):
 class CostProfile:
     """Times on a named machine: of a full frame at 1 sample per pixel by scene, and of methods.
 
-    `inference_ms` is optional. Without it, inference is measured here, on another device than the
-    samples.
+    `default_ms` alone is a profile: it is then the time at the size of the clips. Without
+    `inference_ms`, inference is measured here, on another device than the samples.
     """
 
-    title: str
-    source: str
-    device: str
-    height: int  # pixels
-    width: int  # pixels
     default_ms: float  # for scenes that are not in scene_ms
-    scene_ms: Mapping[str, float]
+    title: str = ""
+    source: str = "a cost file"
+    device: str = "your renderer"
+    height: int = 0  # pixels; 0 where the times are those of the clips' size
+    width: int = 0  # pixels
+    scene_ms: Mapping[str, float] = field(default_factory=dict)
     inference_ms: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
     # by size, as in "720x720" (width x height), and method
 
@@ -68,10 +68,12 @@ class CostProfile:
         >>> profile("paper-2080ti").sample("city", 360, 720).ms
         17.25
         """
-        share = height * width / (self.height * self.width)
+        own = self.height * self.width
+        share = height * width / own if own else 1.0
         note = "" if scene in self.scene_ms else f"the profile's default, as it has no '{scene}'"
         ms = self.scene_ms.get(scene, self.default_ms) * share
-        return ProfileTime(ms, self._convention(f"{self.width}x{self.height}"), note)
+        size = f"{self.width}x{self.height}" if own else ""
+        return ProfileTime(ms, self._convention(size), note)
 
     def inference(self, method: str, height: int, width: int) -> ProfileTime | None:
         """The method's published inference time, or None; scaled from the nearest size it has.
@@ -91,7 +93,8 @@ class CostProfile:
         return ProfileTime(times[size] * pixels / _pixels(size), self._convention(size))
 
     def _convention(self, size: str) -> str:
-        return f"{self.device}, {self.source}, scaled by pixels from {size}"
+        how = f"scaled by pixels from {size}" if size else "at the size of the clip"
+        return f"{self.device}, {self.source}, {how}"
 
 
 def profiles() -> list[str]:
@@ -146,7 +149,9 @@ def write_profile(
 
 def _check(name: str, document: Mapping[str, Any]) -> None:
     """Raise CostError for missing and unknown keys, and for numbers that are no times or sizes."""
-    required = [each.name for each in fields(CostProfile) if each.default_factory is MISSING]
+    required = ["default_ms"]
+    if "inference_ms" in document or {"height", "width"} & document.keys():
+        required += ["height", "width"]
     missing = [key for key in required if key not in document]
     unknown = documents.unknown_keys(document, CostProfile)
     if missing or unknown:

@@ -116,6 +116,16 @@ def check_name(name: str) -> None:
     )
 
 
+def check_budget(spp: float, clips: Sequence[StoredSource]) -> None:
+    """Raise ForeignImagesError for a budget that a clip has not the samples for."""
+    for clip in clips:
+        if spp > clip.header.pool_spp:
+            raise ForeignImagesError(
+                f"--spp {spp:g}: clip '{clip.header.name}' stores {clip.header.pool_spp} samples "
+                "per pixel, so no image was made of more of them. Give the number that was used"
+            )
+
+
 def find_foreign_images(
     folder: Path, clips: Sequence[StoredSource], counts_folder: Path | None = None
 ) -> list[ForeignClip]:

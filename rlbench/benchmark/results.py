@@ -43,6 +43,7 @@ COMPILERS = ("openvino", "compile")  # backends, labels of rows whose networks t
 TILES = "tiles"  # label of rows whose unchanged tiles were kept from the last image
 CROSSVAL = "crossval"  # label of rows whose weights were trained without the row's scene
 RESERVED_LABELS = (BF16, TILES, CROSSVAL, *COMPILERS)  # labels that no weights may have
+UNFINISHED = ".unfinished"  # a file in the folder while `rlbench evaluate` writes to it
 SCHEMA = 2  # of columns, names and metadata
 METADATA = b"rlbench"  # key of the JSON with the schema and the cell's identity
 

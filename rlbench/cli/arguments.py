@@ -246,6 +246,10 @@ def parse_weights(text: str) -> WeightsChoice:
             f"'{label}' cannot name rows, because METHOD@{word} names rows of another kind. Use "
             "another name before ="
         )
+    if Path(file).is_dir():
+        inside = ", ".join(str(each) for each in sorted(Path(file).rglob("*.safetensors"))[:3])
+        found = f"It holds {inside}" if inside else "It holds no weights (*.safetensors)"
+        raise typer.BadParameter(f"'{file}' is a folder, not a weights file. {found}")
     if not Path(file).is_file():
         raise typer.BadParameter(
             f"file '{file}' does not exist. Give a weights file; 'rlbench train' writes one"

@@ -78,7 +78,7 @@ def counting(title: str, total: int) -> Iterator[Callable[[], None]]:
 
 def print_outcome(outcome: RunOutcome) -> None:
     """Print what happened to the cells of a run, its scores and times, and the verdict."""
-    console = Console()
+    console = Console(markup=False)
     _print_summary(outcome.summary, outcome.folder, console)
     _print_scores(outcome, console)
     for line in outcome.missing:
@@ -96,7 +96,8 @@ def _print_summary(summary: RunSummary, out: Path, console: Console) -> None:
         text = f"a damaged row file was set aside as {file}; cells of this run are measured again"
         console.print(text, style="yellow", markup=False, soft_wrap=True)
     if not summary.measured + summary.timed + summary.skipped + summary.failed:
-        console.print(f"nothing to do: all {summary.cached} cells are in {out} already")
+        text = f"nothing to do: all {summary.cached} cells are in {out} already"
+        console.print(text, markup=False)
         return
     text = (
         f"{summary.measured} cells measured, {summary.cached} already in the results, "
@@ -106,7 +107,7 @@ def _print_summary(summary: RunSummary, out: Path, console: Console) -> None:
     text += f", {summary.unscored} without scores and not timed" if summary.unscored else ""
     text += f", {summary.failed} failed" if summary.failed else ""
     text += f", {summary.replaced} older ones replaced" if summary.replaced else ""
-    console.print(f"{text}; results are in {out}")
+    console.print(f"{text}; results are in {out}", markup=False)
 
 
 def _print_scores(outcome: RunOutcome, console: Console) -> None:
@@ -130,7 +131,7 @@ def _print_scores(outcome: RunOutcome, console: Console) -> None:
 
 
 def _progress_bar() -> LoggedProgress:
-    columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn())
+    columns = (TextColumn("{task.description}", markup=False), BarColumn(), MofNCompleteColumn())
     return LoggedProgress(*columns, TimeRemainingColumn(), speed_estimate_period=SPEED_PERIOD)
 
 

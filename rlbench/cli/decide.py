@@ -55,7 +55,7 @@ def decide(
         option(
             MEASUREMENT,
             "times of your device, of samples and methods, in place of those of the results: a "
-            "TOML file, as rlbench speed --as-cost writes it",
+            "name or a TOML file, as rlbench run --cost reads and rlbench speed --as-cost writes",
             value="COST",
         ),
     ] = "",

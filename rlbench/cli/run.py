@@ -101,6 +101,14 @@ def run(
             callback=config_file.use,
         ),
     ] = None,
+    allow_plugins: Annotated[
+        bool,
+        flag(
+            EXECUTION,
+            "--allow-plugins",
+            "let the file of --config name plugin files and a Ray cluster, which run code",
+        ),
+    ] = False,
 ) -> None:
     """Score and time methods on clips, and add the results.
 
@@ -122,6 +130,7 @@ def run(
       rlbench run -m ours,oidn --weights ours=runs/ours/ours.safetensors
       rlbench run -m ours --weights seed1=runs/seed1/ours/ours.safetensors
       rlbench run --config results/run.toml --out again
+      rlbench run --config mine/run.toml --allow-plugins --out again
       rlbench run -m ours,oidn --bf16
       rlbench run -m ours,oidn --backend openvino
       rlbench run -m eaw/still --spp 0.25 --skip-tiles
@@ -130,6 +139,7 @@ def run(
       rlbench run -m ours,oidn --keep-images
       rlbench run -m all --preset standard --takes main --engine ray --out large
     """
+    config_file.check_trusted(context, config, allow_plugins)
     seeds = _sample_orders(seed, draws)
     if scores_only:
         wait_asleep()  # before a plugin imports torch

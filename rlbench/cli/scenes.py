@@ -142,7 +142,7 @@ def _fetch(entry: CollectionScene, out: Path | None) -> Fetched:
     from rlbench.scenes.collection.download import get
     from rlbench.system.progress import LoggedProgress
 
-    columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn())
+    columns = (TextColumn("{task.description}", markup=False), BarColumn(), MofNCompleteColumn())
     with LoggedProgress(*columns) as bar:
         task = bar.add_task(entry.name, total=len(entry.files))
         return get(entry.name, out, lambda file: bar.advance(task))

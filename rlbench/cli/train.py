@@ -256,7 +256,20 @@ def train(
             typer.echo(f"{name}: the old run is now in {archived}")
         weights = runs.train(name, split, holdout)
         typer.echo(f"{name}: {folder}")
+        _say_if_stopped(name, weights, config.frames, minutes)
         _name_next_command(name, weights, plugin)
+
+
+def _say_if_stopped(name: str, weights: Path, frames: int, minutes: float | None) -> None:
+    """Say that the time of a training ended before its crops, and how to go on."""
+    from rlbench.weights import read_card
+
+    seen = read_card(weights).frames_seen if weights.is_file() else 0
+    if minutes is not None and seen < frames:
+        note(
+            f"{name}: stopped after --minutes {minutes:g} with {seen} of {frames} crops; the same "
+            "command goes on from there"
+        )
 
 
 def _name_next_command(name: str, weights: Path, plugin: list[Path] | None) -> None:

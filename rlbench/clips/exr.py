@@ -261,6 +261,8 @@ def read_exr_header(path: Path) -> ExrHeader:
     """
     with path.open("rb") as file:
         size = os.fstat(file.fileno()).st_size
+        if not size:
+            raise ExrHeaderError("it is empty")
         flags = _read_flags(file)
         if flags & MULTI_PART:
             raise ExrHeaderError("it has several parts; only single-part images are read")

@@ -53,12 +53,15 @@ class TrainingSplit(NamedTuple):
     def summary(self) -> str:
         """One line: how many clips train, and which ones validate."""
         count = len(self.train) + len(self.mixed_in)
+        noun = "clip trains" if count == 1 else "clips train"
+        if self.remark == ONE_CLIP_REMARK:
+            return f"1 clip trains and validates: {self.train[0].name}"
         parts = []
         for name, folders in self.validation.items():
             more = ", ..." if len(folders) > MAX_LISTED else ""
             clips = ", ".join(folder.name for folder in folders[:MAX_LISTED])
             parts.append(f"{name}, {len(folders)} ({clips}{more})")
-        return f"{count} clips train; these validate and are not trained on: {'; '.join(parts)}"
+        return f"{count} {noun}; these validate and are not trained on: {'; '.join(parts)}"
 
 
 def select_split(

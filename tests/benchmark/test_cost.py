@@ -42,11 +42,14 @@ def test_a_profile_may_be_a_file(tmp_path):
     assert cost.profile(str(file)).inference("ours", 10, 10) is None
 
 
-@pytest.mark.parametrize("text", ["title = ", 'title = "t"', "colour = 3"])
-def test_a_profile_that_cannot_be_read_is_an_error(tmp_path, text):
-    (tmp_path / "bad.toml").write_text(text)
-    with pytest.raises(CostError, match="bad.toml' cannot be read"):
-        cost.profile(str(tmp_path / "bad.toml"))
+def test_one_time_is_a_profile_at_the_size_of_the_clip(tmp_path):
+    file = tmp_path / "mine.toml"
+    file.write_text("default_ms = 4.2\n")
+    for size in ((360, 640), (720, 1280)):
+        assert cost.profile(str(file)).sample("city", *size).ms == 4.2
+    file.write_text("default_ms = 4.2\n[inference_ms.720x720]\nours = 3.0\n")
+    with pytest.raises(cost.CostError, match="missing: height, width"):
+        cost.profile(str(file))
 
 
 @pytest.mark.parametrize(

@@ -85,6 +85,13 @@ def test_a_cost_profile_gives_the_times_and_the_cost_of_a_sample(folder, tmp_pat
     assert "--sample-ms or --cost" in rlbench(*words[:-1], code=2)
 
 
+def test_a_cost_of_samples_alone_keeps_the_times_of_the_results(folder, tmp_path):
+    (tmp_path / "mine.toml").write_text("default_ms = 4.2\n")
+    words = ("decide", "--frame-ms", 30, "--results", folder, "--json")
+    by_file = json.loads(rlbench(*words, "--cost", tmp_path / "mine.toml"))
+    assert by_file == json.loads(rlbench(*words, "--sample-ms", 4.2))
+
+
 def test_results_are_an_option_or_a_word_and_python_answers_alike(folder):
     by_option = rlbench("decide", *COSTS, "--results", folder, "--json")
     assert rlbench("decide", folder, *COSTS, "--json") == by_option

@@ -262,6 +262,20 @@ def test_a_run_writes_its_options_and_another_reads_them(run_mean, tmp_path):
     assert "run.toml is not TOML" in rlbench(*words, code=2)
 
 
+def test_a_config_of_somebody_else_runs_no_code_and_writes_nowhere_else(run_mean, tmp_path):
+    config, plugin = tmp_path / "run.toml", tmp_path / "theirs.py"
+    plugin.write_text("from pathlib import Path\nPath(__file__).with_name('ran').touch()\n")
+    words = ("run", "--config", config)
+    for text in (f'plugin = ["{plugin}"]\n', 'engine = "ray"\nray-address = "10.0.0.1:1"\n'):
+        config.write_text(text)
+        assert "add --allow-plugins" in rlbench(*words, "--out", tmp_path / "r", code=2)
+    config.write_text(f'plugin = ["{plugin}"]\nout = "{tmp_path / "r"}"\n')
+    assert not (tmp_path / "ran").exists()
+    assert "Name it yourself: --out" in rlbench(*words, "--allow-plugins", code=2)
+    rlbench(*run_mean[:3], *words[1:], "--allow-plugins", "--out", tmp_path / "r", code=2)
+    assert (tmp_path / "ran").exists()
+
+
 def test_weights_of_one_method_are_not_given_to_others(clip_folder, tmp_path):
     file = shipped_weights("ours/A1")
     words = ("--clips", clip_folder, "--spp", 1, "--out", tmp_path / "r", "--scores-only")
@@ -269,3 +283,10 @@ def test_weights_of_one_method_are_not_given_to_others(clip_folder, tmp_path):
     assert set(table.read(tmp_path / "r")["method"]) == {"ours/A1@A1", "oidn/tuned"}
     output = rlbench("run", "-m", "ours", "--weights", f"ours/A1={file}", *words, code=2)
     assert "ours/A1 is none of the methods" in output
+
+
+@pytest.mark.parametrize("name", ["res[/x]", "res[bold]"])
+def test_a_folder_in_brackets_is_a_name(run_mean, tmp_path, name):
+    words = (*run_mean[:-1], tmp_path / name, "--spp", 1, "--scores-only")
+    assert f"results are in {tmp_path / name}" in " ".join(rlbench(*words).split())
+    assert name in "".join(rlbench(*words).split())

@@ -109,3 +109,8 @@ def test_wrong_use_of_score_is_one_message(root, words, message):
     output = score(root, *words, code=2)
     assert message in output
     assert "Traceback" not in output
+
+
+def test_more_samples_than_the_clip_stores_are_refused(root):
+    output = score(root, "--spp", 99, code=2)
+    assert "--spp 99: clip 'city' stores" in output

@@ -21,7 +21,7 @@ CHECKS = {  # in the order in which they are defined
     if isinstance(check, Check)
 }
 IMPORTABLE = "correct the line named in the error; `rlbench list methods` shows it again"
-COLUMNS = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn())
+COLUMNS = (TextColumn("{task.description}", markup=False), BarColumn(), MofNCompleteColumn())
 
 
 def run_check(method_under_test: MethodUnderTest, name: str) -> CheckResult:

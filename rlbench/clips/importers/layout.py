@@ -220,7 +220,7 @@ def read_layout(name_or_file: str, names: Sequence[str] = ()) -> Layout:
     path = ready.get(name_or_file, Path(name_or_file))
     if not path.is_file():
         names = names or list(ready)
-        problem = f"no layout '{name_or_file}', and no TOML file as rlbench lint --guess writes"
+        problem = f"no layout '{name_or_file}', and no such file; rlbench lint --guess writes one"
         raise SourceError(unknown_name(problem, name_or_file, sorted(names), "; there are"))
     try:
         document = read_toml(path)

@@ -167,6 +167,7 @@ def _claim(sequence: ImportedSequence, header: Header, folder: Path) -> None:
             f"{folder} is a link, to {folder.resolve()}, and no clip is written through one; "
             "remove it, or import into another --out"
         )
+    paths.remove_temporaries(folder)
     if stored_key == key:
         return
     if stored_key or any(folder.glob("*.exr")) or (folder / FILE).exists():

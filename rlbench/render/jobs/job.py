@@ -147,6 +147,7 @@ class Job:
         Raises ClipError if the folder holds frames without any key, which `rlbench render` did not
         write and must not delete.
         """
+        paths.remove_temporaries(self.folder)
         files = [self.folder / FILE, *self.folder.glob("*.exr"), *self.folder.glob(SPP_FILES)]
         existing = [file for file in files if file.is_file()]
         if read_content_key(self.folder) == self.content_key:

@@ -240,7 +240,11 @@ def _make_header(job: Job, tracer: Tracer) -> Header:
 
 def progress_bar(executor: Executor) -> LoggedProgress:
     """A progress bar on standard error."""
-    columns = (TextColumn("{task.description:>16}"), BarColumn(), TaskProgressColumn())
+    columns = (
+        TextColumn("{task.description:>16}", markup=False),
+        BarColumn(),
+        TaskProgressColumn(),
+    )
     window = SPEED_WINDOW_S if executor.exclusive else PARALLEL_SPEED_WINDOW_S
     return LoggedProgress(*columns, TimeRemainingColumn(), speed_estimate_period=window)
 

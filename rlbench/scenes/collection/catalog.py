@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import hashlib
+import logging
 import os
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -12,6 +14,8 @@ from rlbench.render.presets import PRESETS
 from rlbench.render.scene import SceneError
 from rlbench.scenes.collection.pins import SCENE_FILE, Pin, PinnedFile, read_pin
 from rlbench.system import documents, paths
+
+_logger = logging.getLogger(__name__)
 
 CATALOG = Path(__file__).parent / "catalog.toml"
 SHIPPED_PINS = CATALOG.parent / "pins"
@@ -66,21 +70,32 @@ def load_catalog() -> dict[str, CollectionScene]:
     """All scenes by name: those that ship, then those that the user pinned.
 
     A pin of the user, in the folder `scenes/pins` of the cache, adds files to a scene that ships
-    without a pin, or a scene of its own. Raises SceneError for a file that is no pin.
+    without a pin, or a scene of its own. A file that is no pin is set aside.
     """
     document = documents.read_toml(CATALOG)
     listed = {
         name: documents.decode({"name": name, **table}, CollectionScene)
         for name, table in document.items()
     }
-    own = sorted(pins_folder().glob("*.tsv"))
-    pin_files = {file.stem: file for file in (*own, *SHIPPED_PINS.glob("*.tsv"))}
-    pins = {name: read_pin(file) for name, file in pin_files.items()}
+    pins = _read_own_pins() | {file.stem: read_pin(file) for file in SHIPPED_PINS.glob("*.tsv")}
     own_scenes = {name: _of_pin(name, pin) for name, pin in pins.items() if name not in listed}
     return {
         name: replace(entry, **vars(pins[name])) if name in pins else entry
         for name, entry in (listed | own_scenes).items()
     }
+
+
+def _read_own_pins() -> dict[str, Pin]:
+    """The pins that the user made; a damaged one is renamed to NAME.tsv.damaged, with a note."""
+    pins = {}
+    for file in sorted(pins_folder().glob("*.tsv")):
+        try:
+            pins[file.stem] = read_pin(file)
+        except SceneError as error:
+            with suppress(OSError):  # of a read-only cache
+                file.replace(file.with_name(f"{file.name}.damaged"))
+            _logger.warning("%s. It was set aside as %s.damaged", error, file.name)
+    return pins
 
 
 def find_scene(name: str) -> CollectionScene:

@@ -67,7 +67,10 @@ class Pin:
 
 def read_pin(file: Path) -> Pin:
     """Read a pin. Raises SceneError, which names the line, for a file that is none."""
-    first, *lines = file.read_text(encoding="utf-8").splitlines() or [""]
+    try:
+        first, *lines = file.read_text(encoding="utf-8").splitlines() or [""]
+    except ValueError as error:
+        raise SceneError(f"{file} is no pin of a scene: it is not text in UTF-8") from error
     found = HEADER_PATTERN.fullmatch(first)
     if found is None:
         raise SceneError(f"{file} is no pin of a scene: its first line is not '{HEADER}'")
