@@ -33,6 +33,7 @@ from rlbench.clips.importers.image_files import find_channels
 from rlbench.clips.importers.layout import Layout, Reference, read_layout
 from rlbench.clips.importers.sequence import ImportedSequence, Pixels, SourceError
 from rlbench.clips.importers.sky import add_sky_motion
+from rlbench.clips.primaries import Chromaticities, format_chromaticities
 from rlbench.denoise import (
     DenoiseError,
     NoisyFrame,
@@ -81,9 +82,21 @@ class NoisySequence:
         lines = [f"{each}: a constant stands in" for each in missing if each != NO_MOTION]
         if "flow" in self.sequence.limitations:
             lines.append("no motion: optical flow of albedo stands in")
+        if primaries := self.primaries:
+            lines.append(f"chromaticities are kept: {format_chromaticities(primaries)}")
         if "sky motion" in self.sequence.limitations:
             lines.append("motion of the sky is unknown, so the sky has no history")
         return lines
+
+    @property
+    def primaries(self) -> Chromaticities | None:
+        """What R, G and B of the first frame mean; None for Rec. 709. Raises SourceError."""
+        path = self.sequence.radiance[0]
+        header, _ = find_channels(path, image_channels("radiance", self.layout))
+        try:
+            return header.primaries
+        except ExrHeaderError as error:
+            raise SourceError(f"{path}: {error}") from error
 
     def output(self, index: int, out: Path) -> Path:
         """The file of a denoised frame: the path of its mean, below another folder."""
@@ -159,7 +172,10 @@ def find_noisy_sequences(
         )
     for sequence in found:
         _check_sequence(sequence, has_motion)
-    return [NoisySequence(folder, each, means, spp, is_static) for each in found]
+    shots = [NoisySequence(folder, each, means, spp, is_static) for each in found]
+    for shot in shots:
+        _ = shot.primaries  # raises for colours that are not linear
+    return shots
 
 
 def _as_means(layout: Layout, folder: Path, spp: float | None) -> tuple[Layout, float | None]:
@@ -181,7 +197,8 @@ def _as_means(layout: Layout, folder: Path, spp: float | None) -> tuple[Layout, 
         }
         layout = replace(layout, **tables)
     radiance = replace(layout.radiance, samples="separate")
-    return replace(layout, radiance=radiance, reference=_reference(layout)), spp
+    layout = replace(layout, radiance=radiance, reference=_reference(layout))
+    return replace(layout, chromaticities="keep"), spp  # the image goes back into the same file
 
 
 def _reference(layout: Layout) -> Reference:

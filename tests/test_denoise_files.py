@@ -243,6 +243,21 @@ def test_missing_motion_is_said_and_static_needs_none(copy, tmp_path):
     run(copy, tmp_path / "alone", str(layout), row="oidn", needs_motion=False, frames=(1, 3))
 
 
+def test_the_primaries_of_a_file_are_kept(arrays, tmp_path):
+    """Even of colours that Rec. 709 cannot show."""
+    h, w = arrays.half_a.shape[-2:]
+    green = {f"ViewLayer.Combined.{c}": np.full((h, w), c == "G", np.float32) for c in "RGB"}
+    write_file(tmp_path / "in" / "still.exr", {"": green})
+    edit(tmp_path / "in" / "still.exr", {"colorInteropID": "lin_rec2020_scene"})
+    (shot,) = find_noisy_sequences(tmp_path / "in" / "still.exr", "blender", spp=4)
+    assert any("chromaticities are kept: red 0.708" in note for note in shot.notes)
+    run(tmp_path / "in" / "still.exr", tmp_path / "out", row="oidn", spp=4)
+    headers, (channels,) = read(tmp_path / "out" / "still.exr")
+    assert headers[0]["colorInteropID"] == "lin_rec2020_scene"
+    for name, pixels in green.items():
+        assert channels[name].mean() == pytest.approx(pixels.mean(), abs=0.02)  # by a network
+
+
 def test_several_images_of_a_frame_are_no_mean(arrays, tmp_path):
     write_falcor(arrays, tmp_path)
     with pytest.raises(SourceError, match="rlbench import"):

@@ -19,6 +19,7 @@ import OpenEXR
 from numpy.typing import NDArray
 
 from rlbench.clips.header import MAX_PIXELS, ClipError
+from rlbench.clips.primaries import Chromaticities, find_chromaticities, format_chromaticities
 from rlbench.errors import RlbenchError
 from rlbench.system.paths import atomic_write, write_error
 
@@ -53,6 +54,7 @@ VALUE_BYTES = {  # attributes that decide pixels: type and size
 }
 TILES = ("tiledesc", 9)
 PART_BYTES = {"name": ("string", None), "type": ("string", None)}  # of a multi-part file
+COLOUR_BYTES = {"chromaticities": ("chromaticities", 32), "colorInteropID": ("string", None)}
 
 Window = tuple[int, int, int, int]  # first x, first y, last x, last y; pixels
 
@@ -189,6 +191,11 @@ def _check(path: Path, header: ExrHeader, names: Sequence[str], h: int, w: int) 
             f"{path} has the data window {header.data_window}, expected its display window "
             f"{header.display_window}: the images of a clip are whole"
         )
+    if primaries := header.primaries:
+        raise ClipError(
+            f"{path} has the chromaticities {format_chromaticities(primaries)}; the images of a "
+            "clip have those of Rec. 709. Convert it, or import its source: rlbench import"
+        )
     channels = header.channels
     if missing := [name for name in names if name not in channels]:
         raise ClipError(
@@ -241,6 +248,16 @@ class ExrHeader:
     is_part: bool = False  # of a multi-part file
     name: str = ""  # of the part
     is_deep: bool = False
+    chromaticities: Chromaticities | None = None  # as the file has them, see `primaries`
+    colour_space: str = ""  # its colorInteropID
+
+    @property
+    def primaries(self) -> Chromaticities | None:
+        """What R, G and B mean; None for Rec. 709. Raises ExrHeaderError where that is unclear."""
+        try:
+            return find_chromaticities(self.chromaticities, self.colour_space)
+        except ValueError as error:
+            raise ExrHeaderError(str(error)) from error
 
     @property
     def size(self) -> tuple[int, int]:
@@ -294,7 +311,15 @@ def read_exr_parts(path: Path) -> list[ExrHeader]:
             if name in (each.name for each in headers):
                 raise ExrHeaderError(f"it has two parts named '{name}'")
             headers.append(replace(header, is_part=True, name=name, is_deep=bool(kind & DEEP)))
-        return headers
+        return [_share_colours(header, headers) for header in headers]
+
+
+def _share_colours(header: ExrHeader, parts: Sequence[ExrHeader]) -> ExrHeader:
+    """The header of a part; what it does not say of colours is as in the first that does."""
+    if header.chromaticities or header.colour_space:
+        return header
+    first = next((each for each in parts if each.chromaticities or each.colour_space), header)
+    return replace(header, chromaticities=first.chromaticities, colour_space=first.colour_space)
 
 
 def _read_flags(file: BinaryIO) -> int:
@@ -316,7 +341,7 @@ def _read_attributes(file: BinaryIO, size: int, flags: int) -> dict[str, bytes]:
     longest = MAX_LONG_NAME if flags & LONG_NAMES else MAX_NAME
     needed = VALUE_BYTES | ({"tiles": TILES} if flags & TILED else {})
     needed |= PART_BYTES if flags & MULTI_PART else {}
-    used = needed | ({"tiles": TILES} if flags & MULTI_PART else {})
+    used = needed | COLOUR_BYTES | ({"tiles": TILES} if flags & MULTI_PART else {})
     seen: set[str] = set()
     values: dict[str, bytes] = {}
     while name := _read_name(file, longest):
@@ -339,7 +364,14 @@ def _read_attributes(file: BinaryIO, size: int, flags: int) -> dict[str, bytes]:
 def _check_header(attributes: dict[str, bytes], flags: int, remaining: int) -> ExrHeader:
     """The header, if its parts agree with each other and with the `remaining` bytes of the file."""
     windows = [_window(name, attributes[name]) for name in ("dataWindow", "displayWindow")]
-    header = ExrHeader(_read_channels(attributes["channels"]), windows[0], windows[1])
+    stored = attributes.get("chromaticities")
+    header = ExrHeader(
+        _read_channels(attributes["channels"]),
+        windows[0],
+        windows[1],
+        chromaticities=struct.unpack("<8f", stored) if stored else None,
+        colour_space=attributes.get("colorInteropID", b"").decode("ascii", "replace"),
+    )
     height, width = header.size
     pixel_bytes = sum(2 if c.pixel_type == "HALF" else 4 for c in header.channels.values())
     if height * width > MAX_PIXELS:

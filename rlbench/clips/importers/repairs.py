@@ -45,6 +45,11 @@ class Findings:
                 f"{images} images have overscan: {found['cut pixels']} pixels outside the display "
                 f"window are cut, {self.places['cut images']}"
             )
+        if images := found["outside images"]:
+            lines.append(
+                f"{images} images have colours outside Rec. 709: a channel of "
+                f"{found['outside pixels']} pixels became 0, {self.places['outside images']}"
+            )
         for kind, count in found.items():
             verb, _, name = kind.partition(" ")
             if verb == "broken":
