@@ -29,10 +29,11 @@ from rlbench.clips.exr import ExrHeaderError, replace_channels
 from rlbench.clips.importers.dump import find_dump_sequences, match_files
 from rlbench.clips.importers.dump_frame import FLIPS, image_channels
 from rlbench.clips.importers.formats import FORMATS
-from rlbench.clips.importers.image_files import find_channels
+from rlbench.clips.importers.image_files import find_channels, read_exr_image
 from rlbench.clips.importers.layout import Layout, Reference, read_layout
 from rlbench.clips.importers.sequence import ImportedSequence, Pixels, SourceError
 from rlbench.clips.importers.sky import add_sky_motion
+from rlbench.clips.importers.writer import MAX_EXPOSURE_FRAMES
 from rlbench.clips.primaries import Chromaticities, format_chromaticities
 from rlbench.denoise import (
     DenoiseError,
@@ -121,6 +122,13 @@ class NoisySequence:
                 if SAMPLES_ATTRIBUTE.fullmatch(name) and str(value).isdecimal():
                     return max(1.0, float(value))
         raise SourceError(f"{path} does not say how many samples a pixel has; give --spp N")
+
+    def estimate_exposure(self) -> float:
+        """The exposure for the means of up to 8 frames. Raises SourceError."""
+        count = min(len(self), MAX_EXPOSURE_FRAMES)
+        files = [self.sequence.radiance[round(i)] for i in np.linspace(0, len(self) - 1, count)]
+        channels = image_channels("radiance", self.layout)
+        return estimate_exposure(_to_tensor(read_exr_image(f, channels).pixels)[0] for f in files)
 
     def write(self, index: int, out: Path, image: torch.Tensor) -> Path:
         """Write a copy of a frame's file with this image [1 3 h w] in place of the mean."""
@@ -328,7 +336,7 @@ def _claim(noisy: NoisySequence, label: str, exposure: float | None, out: Path) 
     before = read_json(file) if file.is_file() else {}
     settings = {
         "method": label,
-        "exposure": exposure or before.get("exposure") or estimate_exposure(noisy.read(0).mean),
+        "exposure": exposure or before.get("exposure") or noisy.estimate_exposure(),
         "spp": noisy.spp or "as the files say",
         "static": noisy.is_static,
         "first frame": noisy.sequence.numbers[0],

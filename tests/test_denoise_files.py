@@ -114,7 +114,7 @@ def test_all_but_the_radiance_is_kept_bit_by_bit(render, whole):
 def test_images_are_those_of_the_python_function(render, whole):
     (shot,) = find_noisy_sequences(render, "blender")
     assert shot.read(0).spp == 4
-    images = rlbench.denoise(map(shot.read, range(3)), ROW)
+    images = rlbench.denoise(map(shot.read, range(3)), ROW, exposure=shot.estimate_exposure())
     for path, image in zip(sorted(whole.glob("*.exr")), images, strict=False):
         (channels,) = read(path)[1]
         stored = np.stack([channels[f"ViewLayer.Combined.{letter}"] for letter in "RGB"])
@@ -256,6 +256,21 @@ def test_the_primaries_of_a_file_are_kept(arrays, tmp_path):
     assert headers[0]["colorInteropID"] == "lin_rec2020_scene"
     for name, pixels in green.items():
         assert channels[name].mean() == pytest.approx(pixels.mean(), abs=0.02)  # by a network
+
+
+def test_a_shot_that_begins_in_the_dark_keeps_its_light(tmp_path):
+    rng = np.random.default_rng(0)
+    noise = rng.gamma(9, 1 / 9, (4, 32, 48)).astype(np.float32)
+    noise *= np.array([1e-6, 1e-4, 1.0, 1.0], np.float32)[:, None, None]
+    for frame, plane in enumerate(noise):
+        planes = {f"ViewLayer.Combined.{c}": plane for c in "RGB"}
+        write_file(tmp_path / "in" / f"{frame:04}.exr", {"": planes})
+    (shot,) = find_noisy_sequences(tmp_path / "in", "blender", spp=9, needs_motion=False)
+    assert shot.estimate_exposure() == pytest.approx(0.18, rel=0.1)
+    run(tmp_path / "in", tmp_path / "out", row="oidn", spp=9, needs_motion=False)
+    for frame in (2, 3):
+        (channels,) = read(tmp_path / "out" / f"{frame:04}.exr")[1]
+        assert channels["ViewLayer.Combined.G"].mean() == pytest.approx(1, rel=0.05)
 
 
 def test_several_images_of_a_frame_are_no_mean(arrays, tmp_path):
