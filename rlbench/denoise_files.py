@@ -20,12 +20,13 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import OpenEXR
 import torch
 from safetensors import SafetensorError, safe_open
 from safetensors.torch import save_file
 
-from rlbench.clips.exr import ExrHeaderError, replace_channels
+from rlbench.clips.exr import ExrHeaderError
+from rlbench.clips.exr_attributes import read_strings
+from rlbench.clips.exr_copy import replace_channels
 from rlbench.clips.importers.dump import find_dump_sequences, match_files
 from rlbench.clips.importers.dump_frame import FLIPS, image_channels
 from rlbench.clips.importers.formats import FORMATS
@@ -117,10 +118,9 @@ class NoisySequence:
         if self.spp:
             return self.spp
         path = self.sequence.radiance[index]
-        for part in OpenEXR.File(str(path), header_only=True).parts:
-            for name, value in part.header.items():
-                if SAMPLES_ATTRIBUTE.fullmatch(name) and str(value).isdecimal():
-                    return max(1.0, float(value))
+        for name, value in read_strings(path):
+            if SAMPLES_ATTRIBUTE.fullmatch(name) and value.isdecimal():
+                return max(1.0, float(value))
         raise SourceError(f"{path} does not say how many samples a pixel has; give --spp N")
 
     def estimate_exposure(self) -> float:

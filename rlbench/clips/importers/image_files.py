@@ -189,9 +189,10 @@ def _locate(
 
 
 def _select_parts(headers: Sequence[ExrHeader], part: str) -> list[ExrHeader]:
-    """The parts with this name, or that match this pattern; all for an empty one."""
+    """The parts with this name, or that match this pattern, in any case; all for an empty one."""
     named = [header for header in headers if header.name == part]
-    return named or [each for each in headers if not part or fnmatchcase(each.name, part)]
+    matching = [each for each in headers if not part or fnmatchcase(each.name, part)]
+    return named or matching or [e for e in headers if fnmatchcase(e.name.lower(), part.lower())]
 
 
 def _find_channel(path: Path, header: ExrHeader, pattern: str) -> str | None:
@@ -204,6 +205,9 @@ def _find_channel(path: Path, header: ExrHeader, pattern: str) -> str | None:
     found = {name for name in names if name.upper() == letter}
     if not found:
         found = {name for alias, name in aliases.items() if fnmatchcase(alias, pattern)}
+    if not found:  # in any case
+        lower = pattern.lower()
+        found = {name for alias, name in aliases.items() if fnmatchcase(alias.lower(), lower)}
     if len(found) > 1:
         found = {name for name in found if not name.startswith(COMPOSITE)} or found
     if len(found) > 1:
