@@ -23,7 +23,7 @@ DECIDING = (
     *("screenWindowCenter", "screenWindowWidth", "tiles", "name", "type", "version", "chunkCount"),
     "view",
 )
-BY_LIBRARY = (RuntimeError, ValueError, TypeError)  # its errors at attributes
+BY_LIBRARY = (OSError, RuntimeError, ValueError, TypeError)  # its errors at attributes
 
 
 class Attribute(NamedTuple):

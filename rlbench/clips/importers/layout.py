@@ -160,8 +160,9 @@ class Camera:
 
 @dataclass(frozen=True, kw_only=True)
 class Layout:
-    """A whole layout. `specular` and `emission` are added to radiance, and may be absent.
+    """A whole layout. Without `reference` nothing can be scored.
 
+    `specular` and `emission` are added to radiance, and may be absent.
     `missing_motion` replaces absent motion: zero, or optical flow of albedo. `exposure` is a factor
     or "auto". `frames_per_second` may be any number above 0. `layer` is read where a channel's
     pattern matches several layers. Colours of other primaries become Rec. 709, unless
@@ -169,7 +170,7 @@ class Layout:
     """
 
     radiance: Radiance
-    reference: Reference
+    reference: Reference = Reference(files=(), optional=True)
     specular: Radiance | None = None
     emission: Image | None = None
     albedo: Albedo | None = None
