@@ -48,8 +48,13 @@ def _refuse_folder(error: OSError) -> NoReturn:
 
 
 def check_inside(root: Path, path: Path) -> Path:
-    """`path`, if its links do not lead out of `root`. Raises SourceError."""
-    if path.is_symlink() and not path.resolve().is_relative_to(root.resolve()):
+    """`path`, if its links do not lead out of `root`, or to themselves. Raises SourceError."""
+    try:
+        target = path.resolve() if path.is_symlink() else path
+        path.exists()
+    except (OSError, RuntimeError) as error:  # Python 3.11 and older raise RuntimeError
+        raise SourceError(f"{path} is a link that leads to itself; remove it") from error
+    if path.is_symlink() and not target.is_relative_to(root.resolve()):
         raise SourceError(
             f"{path} is a link that leaves {root}, to {path.resolve()}; it is not followed. "
             "Copy its target into the source, or remove the link"

@@ -70,7 +70,8 @@ def check_finite(clip: str, number: int, frame: ImportedFrame) -> None:
     buffers = {(name, 0): image for name, image in frame.gbuffer.items()}
     for (name, slot), image in (samples | halves | buffers).items():
         mask = nonfinite_mask(name, np.asarray(image))
-        if not mask.any() or (name == "reference" and is_no_reference(image)):
+        is_absent = name == "reference" and name not in frame.files and is_no_reference(image)
+        if is_absent or not mask.any():
             continue
         row, column = np.argwhere(mask)[0][:2]
         sources = (name, *ADDED) if name == "radiance" else (name, "albedo")

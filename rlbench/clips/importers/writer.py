@@ -142,7 +142,8 @@ def _read_valid(
 ) -> ImportedFrame:
     """A frame whose values are finite. Raises SourceError where they are not, or repairs them."""
     frame = sequence.read(number, samples)
-    if sanitize:
+    is_lost = "reference" in frame.files and is_no_reference(frame.half_a + frame.half_b)
+    if sanitize and not is_lost:  # nothing is left of a reference that is NaN everywhere
         return repair_frame(frame)
     check_finite(sequence.name, number, frame)
     return frame
