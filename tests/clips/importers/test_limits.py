@@ -7,7 +7,7 @@ from contextlib import nullcontext
 
 import pytest
 
-from rlbench.clips.importers import formats
+from rlbench.clips.importers import formats, limits
 from rlbench.clips.importers.sequence import SourceError
 from rlbench.clips.importers.zarr_v2 import open_archive, read_array
 from tests.clips.importers.sources import H, W, noisebase_arrays, zarr_zip
