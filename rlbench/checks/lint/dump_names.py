@@ -157,7 +157,9 @@ def _candidates(pattern: str, path: Path) -> Iterator[tuple[str, _Candidate]]:
             endings = next((e for e in ENDINGS[name or "radiance"] if set(e) <= letters.keys()), ())
             if endings:
                 image = NamedImage(pattern, tuple(letters[e] for e in endings), part)
-                text = f"{pattern} {part} {layer}"
+                text = re.sub(
+                    r"(?<=v)\d+", "", f"{pattern} {part} {layer}"
+                )  # versions are in order
                 if name in ("", "radiance", "reference") and _is_part_of_light(text):
                     continue
                 # of images by one word the shortest name is the whole, before color2; unnamed last
