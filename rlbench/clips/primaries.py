@@ -67,7 +67,7 @@ def matrix_to_rec709(primaries: Chromaticities) -> Float[Array, "3 3"]:
 
     >>> display_p3 = (0.68, 0.32, 0.265, 0.69, 0.15, 0.06, 0.3127, 0.329)
     >>> matrix_to_rec709(display_p3).round(4)[0].tolist()
-    [1.2249, -0.2249, 0.0]
+    [1.2249, -0.2249, -0.0]
     """
     white, target = _white(primaries), _white(REC709)
     gain = (BRADFORD @ target) / (BRADFORD @ white)
