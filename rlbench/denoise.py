@@ -14,15 +14,17 @@ from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, field, fields, is_dataclass, replace
 from typing import Any
 
+import numpy as np
 import torch
 from jaxtyping import Float
 from torch import Tensor
 
 from rlbench import registry
-from rlbench.clips.exposure import area_luminance, exposure_from_areas
+from rlbench.clips.exposure import LIT, area_luminance, exposure_of_frames
 from rlbench.errors import RlbenchError
 from rlbench.frames import BUFFERS, Frame, GBuffer, Reference, Samples, Size, StoredPool
 from rlbench.method import Method, State
+from rlbench.ops.transfer import HALF_MAX
 from rlbench.sanitize import Repairs, sanitize_frame
 
 __all__ = [
@@ -39,6 +41,7 @@ __all__ = [
 ]
 
 DEFAULT_METHOD = "accumulate/intel"
+CLIPPED = f"radiance above {HALF_MAX:g} times display white"
 MAX_SLOTS = 8  # of the largest pool that methods were trained with
 Leaf = Tensor | bool | int | float | str | None
 
@@ -81,7 +84,8 @@ def denoise(
 
     A frame is read when its image is asked for, so memory is that of one frame and of the method's
     state. Images are on the device of their frame. Radiance times `exposure` is 1 at display white;
-    by default the first frame decides, as in `rlbench render`. For a frame after a cut, start anew.
+    by default the first frame that has light decides, as in `rlbench render`, and the first that
+    is so much brighter that its light would be clipped begins anew. After a cut, call it again.
 
     Raises DenoiseError for a method that needs more than the mean (see `check_denoises_means`), and
     for a frame without a buffer that the method reads.
@@ -94,9 +98,13 @@ def denoise(
         check_denoises_means(method)
         method = registry.load_method(method, device)
     state: State = None
+    chosen = exposure
     for frame in frames:
-        exposure = exposure or estimate_exposure(frame.mean)
-        result = denoise_frame(method, frame, state, exposure, device)
+        if exposure is None and (chosen is None or _peak(frame.mean) * chosen > HALF_MAX):
+            own = estimate_exposure(frame.mean) if _peak(frame.mean) > 0 else None
+            if own and (chosen is None or own < LIT * chosen):
+                state, chosen = None, own
+        result = denoise_frame(method, frame, state, chosen or 1.0, device)
         state = result.state
         yield result.image
 
@@ -135,11 +143,15 @@ def check_denoises_means(name: str) -> None:
         raise DenoiseError(f"'{name}' {reason}. Rows that work: {', '.join(rows[:8])}, ...")
 
 
-def estimate_exposure(mean: Float[Tensor, "n 3 h w"]) -> float:
-    """The exposure for a mean image, as `rlbench import` chooses it; 1 for a black one."""
-    valid = mean[0].float().nan_to_num(0, 0, 0).clamp_min(0)
-    areas = area_luminance(valid.movedim(0, -1).cpu().numpy())
-    return exposure_from_areas(areas) if areas.max() > 0 else 1.0
+def estimate_exposure(means: Iterable[Float[Tensor, "3 h w"]]) -> float:
+    """The exposure for mean images of a shot, as `rlbench import` chooses it; 1 for black ones."""
+    valid = (mean.float().nan_to_num(0, 0, 0).clamp_min(0).movedim(0, -1) for mean in means)
+    return exposure_of_frames(np.stack([area_luminance(image.cpu().numpy()) for image in valid]))
+
+
+def _peak(mean: Tensor) -> float:
+    """The largest finite value."""
+    return float(mean.nan_to_num(0, 0, 0).amax())
 
 
 def read_leaves(state: State, path: str = "state") -> Iterator[tuple[str, Leaf]]:
@@ -219,4 +231,8 @@ def _sanitize(
     frame_input = Frame(0, GBuffer(buffers, is_static), pool, Reference(mean, mean))
     gbuffer, valid, repairs = sanitize_frame(frame_input, inputs)
     one = torch.ones_like(mean[:, :1], dtype=torch.int64)
-    return gbuffer, valid.read(valid.empty(), one)[:, 0], repairs
+    radiance = valid.read(valid.empty(), one)[:, 0]
+    clipped = int((mean.isfinite().all(1) & (mean.amax(1) > HALF_MAX)).sum())
+    if clipped:
+        repairs = {**repairs, CLIPPED: clipped, "radiance": repairs["radiance"] - clipped}
+    return gbuffer, radiance, {name: count for name, count in repairs.items() if count}

@@ -20,19 +20,22 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import OpenEXR
 import torch
 from safetensors import SafetensorError, safe_open
 from safetensors.torch import save_file
 
-from rlbench.clips.exr import ExrHeaderError, replace_channels
+from rlbench.clips.exr import ExrHeaderError
+from rlbench.clips.exr_attributes import read_strings
+from rlbench.clips.exr_copy import replace_channels
 from rlbench.clips.importers.dump import find_dump_sequences, match_files
 from rlbench.clips.importers.dump_frame import FLIPS, image_channels
 from rlbench.clips.importers.formats import FORMATS
-from rlbench.clips.importers.image_files import find_channels
+from rlbench.clips.importers.image_files import find_channels, read_exr_image
 from rlbench.clips.importers.layout import Layout, Reference, read_layout
 from rlbench.clips.importers.sequence import ImportedSequence, Pixels, SourceError
 from rlbench.clips.importers.sky import add_sky_motion
+from rlbench.clips.importers.writer import MAX_EXPOSURE_FRAMES
+from rlbench.clips.primaries import Chromaticities, format_chromaticities
 from rlbench.denoise import (
     DenoiseError,
     NoisyFrame,
@@ -81,9 +84,21 @@ class NoisySequence:
         lines = [f"{each}: a constant stands in" for each in missing if each != NO_MOTION]
         if "flow" in self.sequence.limitations:
             lines.append("no motion: optical flow of albedo stands in")
+        if primaries := self.primaries:
+            lines.append(f"chromaticities are kept: {format_chromaticities(primaries)}")
         if "sky motion" in self.sequence.limitations:
             lines.append("motion of the sky is unknown, so the sky has no history")
         return lines
+
+    @property
+    def primaries(self) -> Chromaticities | None:
+        """What R, G and B of the first frame mean; None for Rec. 709. Raises SourceError."""
+        path = self.sequence.radiance[0]
+        header, _ = find_channels(path, image_channels("radiance", self.layout))
+        try:
+            return header.primaries
+        except ExrHeaderError as error:
+            raise SourceError(f"{path}: {error}") from error
 
     def output(self, index: int, out: Path) -> Path:
         """The file of a denoised frame: the path of its mean, below another folder."""
@@ -103,11 +118,17 @@ class NoisySequence:
         if self.spp:
             return self.spp
         path = self.sequence.radiance[index]
-        for part in OpenEXR.File(str(path), header_only=True).parts:
-            for name, value in part.header.items():
-                if SAMPLES_ATTRIBUTE.fullmatch(name) and str(value).isdecimal():
-                    return max(1.0, float(value))
+        for name, value in read_strings(path):
+            if SAMPLES_ATTRIBUTE.fullmatch(name) and value.isdecimal():
+                return max(1.0, float(value))
         raise SourceError(f"{path} does not say how many samples a pixel has; give --spp N")
+
+    def estimate_exposure(self) -> float:
+        """The exposure for the means of up to 8 frames. Raises SourceError."""
+        count = min(len(self), MAX_EXPOSURE_FRAMES)
+        files = [self.sequence.radiance[round(i)] for i in np.linspace(0, len(self) - 1, count)]
+        channels = image_channels("radiance", self.layout)
+        return estimate_exposure(_to_tensor(read_exr_image(f, channels).pixels)[0] for f in files)
 
     def write(self, index: int, out: Path, image: torch.Tensor) -> Path:
         """Write a copy of a frame's file with this image [1 3 h w] in place of the mean."""
@@ -159,7 +180,10 @@ def find_noisy_sequences(
         )
     for sequence in found:
         _check_sequence(sequence, has_motion)
-    return [NoisySequence(folder, each, means, spp, is_static) for each in found]
+    shots = [NoisySequence(folder, each, means, spp, is_static) for each in found]
+    for shot in shots:
+        _ = shot.primaries  # raises for colours that are not linear
+    return shots
 
 
 def _as_means(layout: Layout, folder: Path, spp: float | None) -> tuple[Layout, float | None]:
@@ -181,7 +205,8 @@ def _as_means(layout: Layout, folder: Path, spp: float | None) -> tuple[Layout, 
         }
         layout = replace(layout, **tables)
     radiance = replace(layout.radiance, samples="separate")
-    return replace(layout, radiance=radiance, reference=_reference(layout)), spp
+    layout = replace(layout, radiance=radiance, reference=_reference(layout))
+    return replace(layout, chromaticities="keep"), spp  # the image goes back into the same file
 
 
 def _reference(layout: Layout) -> Reference:
@@ -311,7 +336,7 @@ def _claim(noisy: NoisySequence, label: str, exposure: float | None, out: Path) 
     before = read_json(file) if file.is_file() else {}
     settings = {
         "method": label,
-        "exposure": exposure or before.get("exposure") or estimate_exposure(noisy.read(0).mean),
+        "exposure": exposure or before.get("exposure") or noisy.estimate_exposure(),
         "spp": noisy.spp or "as the files say",
         "static": noisy.is_static,
         "first frame": noisy.sequence.numbers[0],

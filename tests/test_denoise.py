@@ -12,6 +12,7 @@ from baselines.accumulate.memory import share_by_spp
 from rlbench import registry
 from rlbench.checks.tensors import is_bit_equal
 from rlbench.denoise import (
+    CLIPPED,
     DEFAULT_METHOD,
     DenoiseError,
     check_denoises_means,
@@ -109,6 +110,27 @@ def test_missing_motion_is_named_and_nothing_moves_is_accepted():
         list(rlbench.denoise(still))
     static = [rlbench.NoisyFrame(GBuffer(buffers, static=True), f.mean, f.spp) for f in still]
     assert len(list(rlbench.denoise(static))) == 2
+
+
+@pytest.mark.parametrize("row", ["mean", "accumulate/tuned"])
+@pytest.mark.parametrize("dark", [0.0, 1e-7])
+def test_frames_after_a_dark_one_are_not_clipped(row, dark):
+    lights = [dark, 1.0, 1.0]
+    image = torch.rand(1, 3, 9, 11, generator=torch.Generator().manual_seed(0))
+    buffers = {"albedo": image, "normal": image * 0, "depth": image[:, :1] + 1}
+    frames = [
+        rlbench.NoisyFrame(GBuffer(buffers, static=True), image * light, 9) for light in lights
+    ]
+    *_, last = rlbench.denoise(frames, row)
+    assert float(last.mean()) == pytest.approx(float(image.mean()), rel=0.05)
+
+
+def test_light_that_is_clipped_is_counted_apart():
+    image = torch.rand(1, 3, 4, 5)
+    image[..., 0, 0], image[..., 1, 1] = 1e9, torch.nan
+    frame = rlbench.NoisyFrame(GBuffer({}, static=True), image, 1)
+    repairs = denoise_frame(rlbench.load_method("mean"), frame, None, 1.0).repairs
+    assert repairs == {CLIPPED: 1, "radiance": 1}
 
 
 def test_invalid_pixels_are_replaced_and_counted():

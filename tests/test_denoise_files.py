@@ -114,7 +114,7 @@ def test_all_but_the_radiance_is_kept_bit_by_bit(render, whole):
 def test_images_are_those_of_the_python_function(render, whole):
     (shot,) = find_noisy_sequences(render, "blender")
     assert shot.read(0).spp == 4
-    images = rlbench.denoise(map(shot.read, range(3)), ROW)
+    images = rlbench.denoise(map(shot.read, range(3)), ROW, exposure=shot.estimate_exposure())
     for path, image in zip(sorted(whole.glob("*.exr")), images, strict=False):
         (channels,) = read(path)[1]
         stored = np.stack([channels[f"ViewLayer.Combined.{letter}"] for letter in "RGB"])
@@ -241,6 +241,36 @@ def test_missing_motion_is_said_and_static_needs_none(copy, tmp_path):
     (summary,) = run(copy, tmp_path / "out", str(layout), is_static=True, frames=(1, 3))
     assert summary.written == 2
     run(copy, tmp_path / "alone", str(layout), row="oidn", needs_motion=False, frames=(1, 3))
+
+
+def test_the_primaries_of_a_file_are_kept(arrays, tmp_path):
+    """Even of colours that Rec. 709 cannot show."""
+    h, w = arrays.half_a.shape[-2:]
+    green = {f"ViewLayer.Combined.{c}": np.full((h, w), c == "G", np.float32) for c in "RGB"}
+    write_file(tmp_path / "in" / "still.exr", {"": green})
+    edit(tmp_path / "in" / "still.exr", {"colorInteropID": "lin_rec2020_scene"})
+    (shot,) = find_noisy_sequences(tmp_path / "in" / "still.exr", "blender", spp=4)
+    assert any("chromaticities are kept: red 0.708" in note for note in shot.notes)
+    run(tmp_path / "in" / "still.exr", tmp_path / "out", row="oidn", spp=4)
+    headers, (channels,) = read(tmp_path / "out" / "still.exr")
+    assert headers[0]["colorInteropID"] == "lin_rec2020_scene"
+    for name, pixels in green.items():
+        assert channels[name].mean() == pytest.approx(pixels.mean(), abs=0.02)  # by a network
+
+
+def test_a_shot_that_begins_in_the_dark_keeps_its_light(tmp_path):
+    rng = np.random.default_rng(0)
+    noise = rng.gamma(9, 1 / 9, (4, 32, 48)).astype(np.float32)
+    noise *= np.array([1e-6, 1e-4, 1.0, 1.0], np.float32)[:, None, None]
+    for frame, plane in enumerate(noise):
+        planes = {f"ViewLayer.Combined.{c}": plane for c in "RGB"}
+        write_file(tmp_path / "in" / f"{frame:04}.exr", {"": planes})
+    (shot,) = find_noisy_sequences(tmp_path / "in", "blender", spp=9, needs_motion=False)
+    assert shot.estimate_exposure() == pytest.approx(0.18, rel=0.1)
+    run(tmp_path / "in", tmp_path / "out", row="oidn", spp=9, needs_motion=False)
+    for frame in (2, 3):
+        (channels,) = read(tmp_path / "out" / f"{frame:04}.exr")[1]
+        assert channels["ViewLayer.Combined.G"].mean() == pytest.approx(1, rel=0.05)
 
 
 def test_several_images_of_a_frame_are_no_mean(arrays, tmp_path):

@@ -33,6 +33,7 @@ from rlbench.benchmark.loose_images import ENCODINGS, LooseImageError, read_line
 from rlbench.benchmark.results import IMAGES_PREFIX, Row
 from rlbench.benchmark.runner import CellStore
 from rlbench.benchmark.scoring import (
+    BLACK,
     add_counts,
     buffers_of_truth,
     count_rows,
@@ -278,8 +279,10 @@ def _score(
 
     results = results_of_images(clip, _read_frames(claim, images))
     for result, scored in score_frames(template, metrics, results, header, truth, header.pool_spp):
-        rows += [replace(row, note=row.note or note) for row in scored]
+        rows += [replace(row, note="; ".join(filter(None, (note, row.note)))) for row in scored]
         remarks += _find_unusual(claim, images, result)
+        if any(row.note == BLACK for row in scored):
+            remarks.append(f"frame {result.frame.index}: {BLACK}")
         frames.append(KeptFrame.of(result))
         pixels = add_counts(pixels, result.samples.counts) if images.counts else pixels
         on_frame()

@@ -56,7 +56,7 @@ def denoise(
         float | None,
         number(
             CLIPS,
-            "radiance times this is 1 at display white; default: chosen from the first frame",
+            "radiance times this is 1 at display white; default: chosen from up to 8 frames",
             "FACTOR",
         ),
     ] = None,

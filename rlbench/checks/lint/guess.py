@@ -107,11 +107,11 @@ class Guess(NamedTuple):
 def guess_layout(source: Path) -> Guess:
     """The layout of a dump of EXR files, as far as names and readings show it.
 
-    Raises SourceError where no radiance, no reference or no frame is found.
+    Raises SourceError where no radiance or no frame is found.
     """
     tables: Tables = {name: image.to_table() for name, image in find_named_images(source).items()}
     emission = tables.pop("emission", None)
-    reasons = {name: "by its names" for name in tables}
+    reasons = {name: "by its names" + _hint(name, tables) for name in tables}
     for name, reason in (_read_counts(source, tables) | _read_dashes(source, tables)).items():
         reasons[name] += f"; {reason}"
     for name, reason in _read_alpha(source, tables).items():
@@ -138,6 +138,18 @@ def guess_layout(source: Path) -> Guess:
     return Guess(tables, reasons)
 
 
+def _hint(name: str, tables: Tables) -> str:
+    """What the names alone say of an image."""
+    if name == "radiance" and "reference" not in tables:
+        return "; no image looks like a reference, so nothing can be scored"
+    if name == "depth" and "devicez" in str(tables["depth"]).lower():
+        return (
+            "; DeviceZ is a z-buffer, in engines a reversed one: write kind = 'reversed z-buffer' "
+            "and near, the distance of the near plane"
+        )
+    return ""
+
+
 def format_guess(guess: Guess) -> str:
     """A TOML document with the reasons as comments."""
     lines = ["# Guessed by rlbench lint --guess: correct what it is not sure of."]
@@ -150,6 +162,12 @@ def format_guess(guess: Guess) -> str:
 def format_unclaimed(source: Path, layout: Layout) -> str:
     """Comments that list the channels which the layout does not read; empty where none is."""
     lines = list_unclaimed(source, layout)
+    lines += [
+        f"{path.relative_to(source)}: the jitter of the camera? Write [camera] with jitter = this "
+        "file, x and y of each frame on a line"
+        for path in list_files(source)
+        if "jitter" in path.name.lower() and layout.camera is None
+    ]
     head = "\n# Not read:\n" if lines else ""
     return head + "".join(f"# {line}\n" for line in lines)
 
@@ -207,7 +225,7 @@ def _read_alpha(source: Path, tables: Tables) -> dict[str, str]:
     """
     reasons = {}
     stored = import_arrays(source, decode_layout(tables, "guess"))
-    for name in ("reference", "radiance"):
+    for name in {"reference", "radiance"} & tables.keys():
         changed = {**tables, name: {**tables[name], "alpha": "straight"}}
         try:
             arrays = import_arrays(source, decode_layout(changed, "guess"))
@@ -426,7 +444,7 @@ def _read_normal_space(arrays: ClipArrays, tables: Tables) -> dict[str, str]:
 
 def _read_demodulation(arrays: ClipArrays, tables: Tables) -> dict[str, str]:
     """Is the mean of the samples nearer to the reference after a product with albedo?"""
-    if "albedo" not in arrays.gbuffer:
+    if "albedo" not in arrays.gbuffer or "reference" not in tables:
         return {}
     mean, reference = local_mean(arrays.pools["path"].mean(1)), local_mean(arrays.reference)
     errors = [

@@ -92,10 +92,7 @@ def _add(files: Files, key: FileKey, rank: int, path: Path) -> None:
 
 
 def sequence_name(source: Path, clip: str) -> str:
-    """The name of a sequence: the words of what {clip} stands for, or the folder's.
-
-    Raises SourceError.
-    """
+    """The name of a sequence: the words of what {clip} stands for, or the folder's."""
     words = [part for word in clip.split("/") if (part := word.strip("_-. "))]
     return clip_name("-".join(words) or source.resolve().name)
 

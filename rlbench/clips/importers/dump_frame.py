@@ -29,6 +29,7 @@ from rlbench.clips.importers.image_files import (
     has_channels,
     list_channels,
     read_exr_image,
+    to_rec709,
 )
 from rlbench.clips.importers.layout import Image, Layout
 from rlbench.clips.importers.sequence import ImportedFrame, Pixels, SourceError
@@ -40,6 +41,7 @@ CHANNELS = {  # usual names, the preferred ones first
     "depth": (("*.Z",), ("*.V",), ("*.Y",), ("*.R",), ("*.T",)),
     "motion": (("*.X", "*.Y"), ("*.R", "*.G"), ("*.U", "*.V")),
 }
+COLOURS = ("radiance", "specular", "emission", "reference", "albedo")
 FLIPS = {"no": (), "vertical": (0,), "horizontal": (1,), "both": (0, 1)}
 SAMPLE = "{sample}"  # in the name of a channel or a part
 
@@ -166,16 +168,24 @@ class _Reader:
         image = self.layout.images[name]
         # what converts to background, black, and no motion
         fill = {"depth": np.inf, "motion": getattr(image, "offset", 0)}.get(name, 0)
-        pixels, empty, cut = read_exr_image(path, channels, fill)
+        pixels, empty, cut, header = read_exr_image(path, channels, fill)
         limits.check_same_size(path, pixels.shape[:2], self.size)
         if not np.isfinite(pixels).all():
             self.nonfinite_files.setdefault(name, path)
-        for kind, count in (("empty", int(empty.sum())), ("cut", cut)):
+        outside = 0
+        if _is_straight(image):
+            pixels = pixels[..., :-1] * pixels[..., -1:]
+        if name in COLOURS and self.layout.chromaticities == "convert":
+            pixels, outside = to_rec709(path, pixels, header)
+            if getattr(image, "encoding", "linear") != "linear" and header.primaries:
+                raise SourceError(
+                    f"{path}: [{name}] is encoded as sRGB, and the file has chromaticities of "
+                    "another space; convert it to linear Rec. 709"
+                )
+        for kind, count in (("empty", int(empty.sum())), ("cut", cut), ("outside", outside)):
             self.counts[f"{kind} pixels"] += count
             self.counts[f"{kind} images"] += count > 0
         self.empty[name] = np.flip(empty, FLIPS[image.flip])
-        if _is_straight(image):
-            pixels = pixels[..., :-1] * pixels[..., -1:]
         return np.flip(pixels, FLIPS[image.flip])
 
 

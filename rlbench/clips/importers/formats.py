@@ -62,6 +62,8 @@ def find_sequences(
             f"{source} holds nothing of layout '{layout}': expected files such as {expected}; it "
             f"holds: {content}.{hint} rlbench lint --guess {source} writes a layout"
         )
+    for clip in clips:
+        limits.check_packing(clip.name, clip.files, clip.height * clip.width)
     counts = Counter(sequence.name for sequence in clips)
     if duplicates := [name for name, count in counts.items() if count > 1]:
         raise SourceError(

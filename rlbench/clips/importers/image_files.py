@@ -12,9 +12,16 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import Image
 
-from rlbench.clips.exr import DeepImageError, ExrHeader, read_exr_parts, read_planes
+from rlbench.clips.exr import (
+    DeepImageError,
+    ExrHeader,
+    ExrHeaderError,
+    read_exr_parts,
+    read_planes,
+)
 from rlbench.clips.importers.limits import check_size
 from rlbench.clips.importers.sequence import Pixels, SourceError
+from rlbench.clips.primaries import convert_to_rec709
 
 COMPOSITE = "Composite."  # Blender's layer of the compositor, which is read only where it is named
 
@@ -38,6 +45,7 @@ class ExrImage(NamedTuple):
     pixels: Pixels  # h w c, in the precision of the file; of UINT channels float64
     empty: NDArray[np.bool_]  # h w 1, outside the data window
     cut: int  # pixels of the data window outside the display window
+    header: ExrHeader
 
 
 def exr_size(path: Path, channels: Channels) -> tuple[int, int]:
@@ -75,7 +83,23 @@ def read_exr_image(path: Path, channels: Channels, fill: float = 0.0) -> ExrImag
         if header.data_window != header.display_window:
             pixels = np.full((h, w, len(names)), fill, data.dtype)
             pixels[target] = data[source]
-        return ExrImage(pixels, empty, data[..., 0].size - int((~empty).sum()))
+        return ExrImage(pixels, empty, data[..., 0].size - int((~empty).sum()), header)
+
+
+def to_rec709(path: Path, pixels: Pixels, header: ExrHeader) -> tuple[Pixels, int]:
+    """Colours [h w 3] of a file with Rec. 709 primaries, and how many pixels these cannot show.
+
+    Pixels of another number of channels stay. Raises SourceError where the header does not say
+    which primaries its colours have.
+    """
+    try:
+        primaries = header.primaries if pixels.shape[-1] == 3 else None
+    except ExrHeaderError as error:
+        raise SourceError(f"{path}: {error}") from error
+    if primaries is None:
+        return pixels, 0
+    converted, outside = convert_to_rec709(pixels, primaries)
+    return converted, int(outside.sum())
 
 
 def find_channels(path: Path, channels: Channels) -> tuple[ExrHeader, list[str]]:
@@ -165,9 +189,10 @@ def _locate(
 
 
 def _select_parts(headers: Sequence[ExrHeader], part: str) -> list[ExrHeader]:
-    """The parts with this name, or that match this pattern; all for an empty one."""
+    """The parts with this name, or that match this pattern, in any case; all for an empty one."""
     named = [header for header in headers if header.name == part]
-    return named or [each for each in headers if not part or fnmatchcase(each.name, part)]
+    matching = [each for each in headers if not part or fnmatchcase(each.name, part)]
+    return named or matching or [e for e in headers if fnmatchcase(e.name.lower(), part.lower())]
 
 
 def _find_channel(path: Path, header: ExrHeader, pattern: str) -> str | None:
@@ -180,6 +205,9 @@ def _find_channel(path: Path, header: ExrHeader, pattern: str) -> str | None:
     found = {name for name in names if name.upper() == letter}
     if not found:
         found = {name for alias, name in aliases.items() if fnmatchcase(alias, pattern)}
+    if not found:  # in any case
+        lower = pattern.lower()
+        found = {name for alias, name in aliases.items() if fnmatchcase(alias.lower(), lower)}
     if len(found) > 1:
         found = {name for name in found if not name.startswith(COMPOSITE)} or found
     if len(found) > 1:

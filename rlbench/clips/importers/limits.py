@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+from collections.abc import Sequence
 from pathlib import Path
 from typing import NoReturn
 
@@ -12,6 +13,8 @@ from rlbench.clips.importers.sequence import SourceError
 MAX_FILES = 1_000_000  # at and below one source folder
 MAX_SAMPLES = 64  # per pixel and frame
 MAX_ARRAY_BYTES = 2**31  # of one array, unpacked
+LARGE_IMAGE_BYTES = 2**29  # of one image, unpacked: 45 megapixels
+MAX_PACKING = 500  # times that the images of a clip are smaller on the disk, if they are large
 
 
 def list_files(root: Path) -> list[Path]:
@@ -48,8 +51,13 @@ def _refuse_folder(error: OSError) -> NoReturn:
 
 
 def check_inside(root: Path, path: Path) -> Path:
-    """`path`, if its links do not lead out of `root`. Raises SourceError."""
-    if path.is_symlink() and not path.resolve().is_relative_to(root.resolve()):
+    """`path`, if its links do not lead out of `root`, or to themselves. Raises SourceError."""
+    try:
+        target = path.resolve() if path.is_symlink() else path
+        path.exists()
+    except (OSError, RuntimeError) as error:  # Python 3.11 and older raise RuntimeError
+        raise SourceError(f"{path} is a link that leads to itself; remove it") from error
+    if path.is_symlink() and not target.is_relative_to(root.resolve()):
         raise SourceError(
             f"{path} is a link that leaves {root}, to {path.resolve()}; it is not followed. "
             "Copy its target into the source, or remove the link"
@@ -64,6 +72,20 @@ def check_size(path: Path, height: int, width: int) -> tuple[int, int]:
             f"{path} claims to be {width} x {height} pixels; from 1 to {MAX_PIXELS} are read"
         )
     return height, width
+
+
+def check_packing(name: str, files: Sequence[Path], pixels: int) -> None:
+    """Raise SourceError for large images of next to no bytes, which would fill the memory.
+
+    Renders of that size, with noise, take a hundred times the bytes.
+    """
+    packed = sum(path.stat().st_size for path in files)
+    unpacked = len(files) * pixels * 3 * 4
+    if pixels * 3 * 4 > LARGE_IMAGE_BYTES and unpacked > MAX_PACKING * packed:
+        raise SourceError(
+            f"clip '{name}': {len(files)} files of {packed} bytes claim {pixels} pixels each, "
+            f"{unpacked} bytes unpacked, so they are nearly constant; import smaller ones"
+        )
 
 
 def check_same_size(path: Path, size: tuple[int, int], expected: tuple[int, int]) -> None:

@@ -15,6 +15,7 @@ from rlbench.render.mitsuba.xml_files import children, file_resolver
 from rlbench.render.scene import Mesh, SceneError, XmlFile
 
 MAX_DEPTH = 8  # longest light path, in edges, if the file has no integrator
+MAX_SIDE = 2**16  # pixels of a film
 PATH_INTEGRATORS = ("path", "direct")  # integrators that trace the same light paths as rlbench
 FILM = {"width": 768, "height": 576}  # pixels, Mitsuba's default
 REPAIRS_VERSION = 1  # raised whenever `xml_repairs` changes what is rendered
@@ -174,7 +175,29 @@ def _read_max_depth(state: Any, notes: list[str]) -> int:
         notes.append(f"integrator {plugin} is replaced by path")
     if node.props.get("hide_emitters", False):
         notes.append("hide_emitters is ignored: emitters are visible")
-    return 2 if plugin == "direct" else int(node.props.get("max_depth", -1))
+    return 2 if plugin == "direct" else _read_integer(node, "max_depth", -1, (-1, 2**31 - 1))
+
+
+def _read_integer(node: Any, name: str, default: int, limits: tuple[int, int]) -> int:
+    """A whole number of a plugin, within limits. Raises SceneError."""
+    value = node.props.get(name, default) if node else default
+    if type(value) is not int or not limits[0] <= value <= limits[1]:
+        raise SceneError(
+            f"{name} of {node.props.plugin_name()} is {value!r:.40}, expected an integer from "
+            f"{limits[0]} to {limits[1]}"
+        )
+    return value
+
+
+def _read_to_world(node: Any) -> np.ndarray:
+    """The matrix of a sensor. Raises SceneError for anything else than a transform."""
+    to_world = node.props.get("to_world", None)
+    if to_world is None:
+        return np.eye(4)
+    matrix = np.array(getattr(to_world, "matrix", np.nan), np.float64)
+    if matrix.shape != (4, 4) or not np.isfinite(matrix).all():
+        raise SceneError(f"to_world of the sensor is {to_world!r:.80}, expected a transform")
+    return matrix
 
 
 def _read_sensor(state: Any, notes: list[str]) -> tuple[np.ndarray | None, float, float]:
@@ -191,11 +214,12 @@ def _read_sensor(state: Any, notes: list[str]) -> tuple[np.ndarray | None, float
     if node.props.plugin_name() == "thinlens":
         notes.append("thinlens is rendered as a pinhole, without depth of field")
     film = next((n for _, n in children(state, node) if n.type == mi.ObjectType.Film), None)
-    width, height = (int(film.props.get(k, d)) if film else d for k, d in FILM.items())
+    width, height = (_read_integer(film, name, size, (1, MAX_SIDE)) for name, size in FILM.items())
     lens = {k: node.props[k] for k in ("fov", "fov_axis", "focal_length") if k in node.props}
     size = {"type": "hdrfilm", "width": width, "height": height}
-    sensor = mi.load_dict({"type": "perspective", **lens, "film": size})  # converts to x_fov
+    try:
+        sensor = mi.load_dict({"type": "perspective", **lens, "film": size})  # converts to x_fov
+    except (RuntimeError, TypeError, ValueError) as error:
+        raise SceneError(f"the sensor cannot be read: {error}") from error
     fov = float(np.array(mi.traverse(sensor)["x_fov"]).reshape(-1)[0])
-    to_world = node.props.get("to_world", None)
-    matrix = np.eye(4) if to_world is None else np.array(to_world.matrix, np.float64)
-    return matrix, fov, width / height
+    return _read_to_world(node), fov, width / height

@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import tracemalloc
+from contextlib import nullcontext
 
 import pytest
 
-from rlbench.clips.importers import formats
+from rlbench.clips.importers import formats, limits
 from rlbench.clips.importers.sequence import SourceError
 from rlbench.clips.importers.zarr_v2 import open_archive, read_array
 from tests.clips.importers.sources import H, W, noisebase_arrays, zarr_zip
@@ -76,3 +77,16 @@ def test_a_small_zip_does_not_unpack_to_a_gigabyte(tmp_path, shape, chunks):
         read_array(archive, "color")
     assert tracemalloc.get_traced_memory()[1] < 2**24
     tracemalloc.stop()
+
+
+@pytest.mark.parametrize(("pixels", "is_refused"), [(2**26, True), (2**24, False)])
+def test_large_images_of_no_bytes_are_refused_and_small_ones_are_not(tmp_path, pixels, is_refused):
+    (tmp_path / "a.exr").write_bytes(b"x" * 1000)
+    with pytest.raises(SourceError, match="nearly constant") if is_refused else nullcontext():
+        limits.check_packing("a", [tmp_path / "a.exr"], pixels)
+
+
+def test_a_link_to_itself_is_named(tmp_path):
+    (tmp_path / "loop.exr").symlink_to("loop.exr")
+    with pytest.raises(SourceError, match="loop.exr is a link that leads to itself"):
+        limits.list_files(tmp_path)
