@@ -59,7 +59,7 @@ def read_settings(xml_file: XmlFile) -> XmlSettings:
         xml_files.refuse_attribute_emitters(state)
         camera_to_world, fov, aspect = _read_sensor(state, notes)
         max_depth = _read_max_depth(state, notes)
-        content = f"{xml_file.parameters} {missing_files} {REPAIRS_VERSION}"
+        content = f"{xml_file.parameters} {missing_files} {REPAIRS_VERSION}{xml_file.sky}"
         digest = hashlib.blake2b(content.encode(), digest_size=16)
         for file in (xml_file.path, *files):
             digest.update(hashlib.blake2b(file.read_bytes()).digest())
@@ -131,7 +131,7 @@ def _parse(xml_file: XmlFile, merge: bool) -> Iterator[_ParsedFile]:
     config.merge_equivalent = config.merge_meshes = merge
     try:
         original = path.read_text("utf-8", errors="replace")
-        text, notes = xml_repairs.repair_text(original)
+        text, notes = xml_repairs.repair_text(_with_sky(original, xml_file.sky))
         parameters = dict(xml_file.parameters)
         if text == original:
             state = parser.parse_file(config, str(path), **parameters)
@@ -158,6 +158,12 @@ def _parse(xml_file: XmlFile, merge: bool) -> Iterator[_ParsedFile]:
         resolver.clear()
         for folder in saved:
             resolver.append(folder)
+
+
+def _with_sky(text: str, sky: str) -> str:
+    """The text of a file with one more element at its end."""
+    head, end, rest = text.rpartition("</scene>")
+    return f"{head}{sky}{end}{rest}" if sky else text
 
 
 def _read_max_depth(state: Any, notes: list[str]) -> int:
