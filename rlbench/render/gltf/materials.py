@@ -24,6 +24,7 @@ MAX_F0 = 0.9  # reflectance at normal incidence of the least transparent dielect
 LEVELS = np.arange(256) / 255
 # IEC 61966-2-1
 DECODED = np.where(LEVELS <= 0.04045, LEVELS / 12.92, ((LEVELS + 0.055) / 1.055) ** 2.4)
+SPECULAR_LOSS = 0.78  # part of a dielectric's average reflectance that the diffuse lobe lacks
 COLOR, ALPHA, UV = "vertex_color", "vertex_alpha", "vertex_uv{}"  # attributes of a mesh
 READ = {  # extensions of materials and textures that are read here
     "KHR_materials_clearcoat",
@@ -123,13 +124,12 @@ def read_material(document: Document, index: int | None, has_colors: bool) -> Su
     reader = _Reader(document, has_colors)
     emission = _emission(reader, material, extensions)  # first: lights need the mesh's own set
     pbr = material.pbrMetallicRoughness
-    base, alpha, bsdf = (
-        _specular_glossiness(reader, extensions["KHR_materials_pbrSpecularGlossiness"])
-        if "KHR_materials_pbrSpecularGlossiness" in extensions
-        else _metallic_roughness(reader, pbr)
-    )
-    bsdf = {"type": "principled", "base_color": reader.tinted(base), **bsdf}
-    bsdf |= _dielectric(document, extensions) | _layers(reader, extensions)
+    old = extensions.get("KHR_materials_pbrSpecularGlossiness")
+    bsdf = _specular_glossiness(reader, old) if old else _metallic_roughness(reader, pbr)
+    bsdf = {"type": "principled", **bsdf, **_dielectric(document, extensions)}
+    info, factor = _base_color(pbr, old)
+    base = reader.texture(info, slice(0, 3), factor[:3] * _energy(bsdf), is_color=True)
+    bsdf |= {"base_color": reader.tinted(base), **_layers(reader, extensions)}
     if "KHR_materials_unlit" in extensions:
         document.notes["unlit materials are lit, as diffuse ones"] += 1
         bsdf = {"type": "diffuse", "reflectance": bsdf["base_color"]}
@@ -140,18 +140,40 @@ def read_material(document: Document, index: int | None, has_colors: bool) -> Su
         bsdf = _normal_map(reader, normal, bsdf)
     if not is_clear:  # glTF's back faces are culled, which a path tracer cannot do for bounces
         bsdf = {"type": "twosided", "bsdf": bsdf}
-    bsdf = _cut_out(reader, material, base, alpha, bsdf)
+    bsdf = _cut_out(reader, material, info, factor[3], bsdf)
     return Surface(
         bsdf, emission, bool(material.doubleSided), tuple(reader.uv_sets), has_normal_map
     )
 
 
-def _metallic_roughness(reader: _Reader, pbr: Any) -> tuple[Any, float, dict[str, Any]]:
-    """Base colour, alpha factor, and the other parameters of a metallic-roughness material."""
+def _base_color(pbr: Any, old: Mapping[str, Any] | None) -> tuple[Any, Float[Array, "4"]]:
+    """The texture info and the factor of the base colour, with alpha."""
+    if old:
+        return old.get("diffuseTexture"), _floats(old.get("diffuseFactor"), (1, 1, 1, 1))
     if pbr is None:
-        return np.ones(3), 1.0, {"roughness": 1.0, "metallic": 1.0}
-    factor = _floats(pbr.baseColorFactor, (1, 1, 1, 1))
-    base = reader.texture(pbr.baseColorTexture, slice(0, 3), factor[:3], is_color=True)
+        return None, np.ones(4)
+    return pbr.baseColorTexture, _floats(pbr.baseColorFactor, (1, 1, 1, 1))
+
+
+def _energy(bsdf: Mapping[str, Any]) -> float:
+    """A factor on the base colour with which a white surface reflects what it receives.
+
+    `principled` adds the specular lobe to the diffuse one and reflects up to 1.08, or 1.2 with a
+    high index; Cycles and glTF's own model take it away from the diffuse. The average reflectance
+    of a dielectric is the fit of Kulla and Conty 2017, Revisiting Physically Based Shading at
+    Imageworks; with SPECULAR_LOSS, white reflects 0.98 to 1.02 up to a roughness of 0.8.
+    """
+    eta = 1.0 if "specular" in bsdf else bsdf.get("eta", 1.5)
+    metallic = bsdf.get("metallic", 0.0)
+    if isinstance(metallic, Mapping):
+        metallic = float(metallic.get("texture", metallic)["bitmap"].mean()) / 255
+    return 1 - SPECULAR_LOSS * (1 - metallic) * (eta - 1) / (4.08567 + 1.00071 * eta)
+
+
+def _metallic_roughness(reader: _Reader, pbr: Any) -> dict[str, Any]:
+    """The parameters of a metallic-roughness material but its base colour."""
+    if pbr is None:
+        return {"roughness": 1.0, "metallic": 1.0}
     values = {}
     for name, channel, given in (
         ("roughness", 1, pbr.roughnessFactor),
@@ -160,16 +182,12 @@ def _metallic_roughness(reader: _Reader, pbr: Any) -> tuple[Any, float, dict[str
         texels = slice(channel, channel + 1)
         factors = _floats(None if given is None else [given], (1,))
         values[name] = _value(reader.texture(pbr.metallicRoughnessTexture, texels, factors, False))
-    return base, float(factor[3]), values
+    return values
 
 
-def _specular_glossiness(
-    reader: _Reader, found: Mapping[str, Any]
-) -> tuple[Any, float, dict[str, Any]]:
+def _specular_glossiness(reader: _Reader, found: Mapping[str, Any]) -> dict[str, Any]:
     """The same for the older specular-glossiness, whose specular colour becomes a grey one."""
     reader.document.notes["specular colours of specular-glossiness materials are made grey"] += 1
-    factor = _floats(found.get("diffuseFactor"), (1, 1, 1, 1))
-    base = reader.texture(found.get("diffuseTexture"), slice(0, 3), factor[:3], is_color=True)
     gloss, info = found.get("glossinessFactor", 1.0), found.get("specularGlossinessTexture")
     f0 = float(_floats(found.get("specularFactor"), (1, 1, 1)).mean())
     roughness = reader.texture(info, slice(3, 4), np.array([gloss]), is_color=False)
@@ -180,7 +198,7 @@ def _specular_glossiness(
         f0 *= _mean(reader, info)
     else:
         roughness = 1 - roughness
-    return base, float(factor[3]), {"roughness": _value(roughness), **_fresnel(f0)}
+    return {"roughness": _value(roughness), **_fresnel(f0)}
 
 
 def _dielectric(document: Document, extensions: Mapping[str, Any]) -> dict[str, Any]:
@@ -260,15 +278,11 @@ def _normal_map(reader: _Reader, normal: Any, bsdf: dict[str, Any]) -> dict[str,
 
 
 def _cut_out(
-    reader: _Reader, material: Any, base: Any, alpha: float, bsdf: dict[str, Any]
+    reader: _Reader, material: Any, info: Any, alpha: float, bsdf: dict[str, Any]
 ) -> dict[str, Any]:
     """`bsdf` with the opacity of the base colour's alpha, where it is needed."""
     if material.alphaMode not in ("MASK", "BLEND"):
         return bsdf
-    extensions = material.extensions or {}
-    pbr = material.pbrMetallicRoughness
-    old = extensions.get("KHR_materials_pbrSpecularGlossiness", {})
-    info = old.get("diffuseTexture") or (pbr.baseColorTexture if pbr else None)
     opacity = reader.texture(info, slice(3, 4), np.array([alpha]), is_color=False)
     inner = opacity.get("texture", opacity) if isinstance(opacity, Mapping) else None
     cutoff = 0.5 if material.alphaCutoff is None else material.alphaCutoff
@@ -304,11 +318,18 @@ def _bitmap(texels: Array, factor: Float[Array, " c"], is_color: bool) -> dict[s
     """A bitmap of 8 bit texels times a factor."""
     if (factor == 1).all():
         return {"type": "bitmap", "bitmap": texels, "raw": not is_color}
-    if not is_color and factor.max() <= 1:
-        scaled = np.rint(texels * factor).astype(np.uint8)
-        return {"type": "bitmap", "bitmap": scaled, "raw": True}
+    if factor.max() <= 1:  # 8 bits again, which keeps memory low
+        levels = np.outer(factor, DECODED if is_color else LEVELS)  # c 256
+        table = np.rint(255 * (_encode(levels) if is_color else levels)).astype(np.uint8)
+        scaled = np.stack([row[texels[..., c]] for c, row in enumerate(table)], -1)
+        return {"type": "bitmap", "bitmap": scaled, "raw": not is_color}
     linear = (DECODED if is_color else LEVELS).astype(np.float32)[texels]
     return {"type": "bitmap", "data": linear * factor.astype(np.float32), "raw": True}
+
+
+def _encode(linear: Array) -> Array:
+    """sRGB values of linear ones (IEC 61966-2-1), both in [0, 1]."""
+    return np.where(linear <= 0.0031308, 12.92 * linear, 1.055 * linear ** (1 / 2.4) - 0.055)
 
 
 def _mean(
