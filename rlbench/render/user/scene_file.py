@@ -234,6 +234,10 @@ def _name(file: Path) -> str:
 def _from_xml(xml_file: XmlFile) -> UserScene:
     settings = xml_scene.read_settings(xml_file)
     name = _name(xml_file.path)
+    matrix, notes = settings.camera_to_world, settings.notes
+    if matrix is not None:
+        matrix, more = camera_path.straighten(matrix)
+        notes = [*notes, *more]
     scene = Scene(
         name,
         name,
@@ -246,10 +250,10 @@ def _from_xml(xml_file: XmlFile) -> UserScene:
         scene,
         name,
         settings.digest,
-        settings.camera_to_world,
+        matrix,
         settings.fov,
         aspect=settings.aspect,
-        notes=settings.notes,
+        notes=notes,
         missing_files=settings.missing_files,
     )
 
