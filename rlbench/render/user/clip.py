@@ -10,6 +10,7 @@ from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 
+import numpy as np
 from jaxtyping import Float
 from numpy import ndarray as Array
 
@@ -56,6 +57,7 @@ class CameraPath:
     matrices: tuple[Float[Array, "4 4"], ...] = ()
     fov: float = 60.0  # horizontal, degrees
     seed: int = 0  # of wander
+    has_start: bool = True  # or does wander look for a first view, as the file has no camera?
 
     @property
     def is_static(self) -> bool:
@@ -88,7 +90,7 @@ class CameraPath:
         """The pinhole on a path that depends on the surfaces in view."""
         if self.kind != "wander":
             return self.move_around(auto_exposure.measure_distance(tracer), frames)
-        start = self.matrices[0] if self.matrices else find_view(tracer, self.fov)
+        start = self.matrices[0] if self.has_start else find_view(tracer, self.fov)
         matrices = wander(tracer, start, self.fov, frames, self.seed)
         return self.camera_at_time(camera_path.follow_matrices(matrices))
 
@@ -165,9 +167,9 @@ def _choose_path(options: UserSceneOptions, user_scene: UserScene) -> CameraPath
         return CameraPath(kind)
     kind = "still" if kind == "own" else kind
     if kind in ("still", *MOVING):
-        is_lost = kind == "wander" and user_scene.camera_to_world is None
-        matrices = () if is_lost else (user_scene.sensor_matrix(),)
-        return CameraPath(kind, matrices, user_scene.fov, options.seed or 0)
+        has_start = kind != "wander" or user_scene.camera_to_world is not None
+        matrices = (user_scene.sensor_matrix() if has_start else np.eye(4),)
+        return CameraPath(kind, matrices, user_scene.fov, options.seed or 0, has_start)
     read, fov = camera_path.read_matrices(Path(kind))
     return CameraPath(Path(kind).stem, tuple(read), fov or user_scene.fov)
 
