@@ -27,7 +27,6 @@ LIGHTS, INSTANCES = "KHR_lights_punctual", "EXT_mesh_gpu_instancing"
 SUPPORTED = {*READ, DRACO, *MESHOPT, LIGHTS, INSTANCES, "KHR_mesh_quantization"}
 GLTF_VERSION = 1  # raised whenever a file is rendered otherwise
 MAX_DEPTH = 8  # longest light path, in edges
-MAX_NODES = 10**6  # of the hierarchy: more are a cycle
 
 
 @dataclass(frozen=True)
@@ -138,15 +137,16 @@ def _walk(document: Document) -> Iterator[_Node]:
         children = {child for node in tree.nodes for child in node.children or ()}
         roots = [index for index in roots if index not in children]
     due = [(index, Z_UP) for index in reversed(roots)]
-    for _ in range(MAX_NODES):
-        if not due:
-            return
+    seen: set[int] = set()
+    while due:
         index, parent = due.pop()
+        if index in seen:
+            raise ValueError(f"node {index} has two parents, or its nodes form a cycle")
+        seen.add(index)
         node = tree.nodes[index]
         to_world = parent @ _transform(node)
         yield _Node(index, node, to_world)
         due += [(child, to_world) for child in reversed(node.children or ())]
-    raise ValueError("its nodes form a cycle, or are more than a million")
 
 
 def _transform(node: Any) -> Float[Array, "4 4"]:
