@@ -227,9 +227,10 @@ class Document:
         stored = self._read_uri(image.uri) if image.uri else self._view(image.bufferView)
         try:
             with Image.open(io.BytesIO(stored)) as picture:
-                if picture.mode.startswith("I;16"):  # Pillow would clip it
-                    picture = Image.fromarray((np.asarray(picture) >> 8).astype(np.uint8))
-                return np.asarray(picture.convert("RGBA"))
+                if not picture.mode.startswith("I;16"):
+                    return np.asarray(picture.convert("RGBA"))
+                high = (np.asarray(picture) >> 8).astype(np.uint8)  # Pillow would clip it
+                return np.asarray(Image.fromarray(high).convert("RGBA"))
         except UnidentifiedImageError as error:
             name = image.uri[:60] if image.uri else image.name or f"image {index}"
             raise SceneError(

@@ -181,7 +181,7 @@ def _to_mitsuba(value: Any, name: str = "") -> Any:
     if name == "data":
         return mi.TensorXf(np.ascontiguousarray(value, np.float32))
     if name == "bitmap":
-        return mi.Bitmap(np.ascontiguousarray(value))
+        return mi.Bitmap(np.array(value, order="C"))
     if value.shape == (3, 3):
         return mi.ScalarTransform3f(value.astype(float))
     if value.shape == (4, 4):

@@ -88,7 +88,8 @@ def straighten(matrix: Float[Array, "4 4"]) -> tuple[Float[Array, "4 4"], list[s
 
     A mirrored one is turned back: the image is not mirrored. Others are returned as they are.
     """
-    axes, notes = matrix[:3, :3].copy(), []
+    axes = matrix[:3, :3].copy()
+    notes: list[str] = []
     if abs(axes.T @ axes - np.eye(3)).max() > NEARLY_RIGID:
         return matrix, notes
     if np.linalg.det(axes) < 0:
