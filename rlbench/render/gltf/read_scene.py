@@ -128,7 +128,7 @@ def _no_camera(time: float) -> Camera:
 def _walk(document: Document) -> Iterator[_Node]:
     """The nodes of the default scene with their transforms to world space."""
     tree = document.tree
-    roots = range(len(tree.nodes))
+    roots = list(range(len(tree.nodes)))
     if tree.scenes:
         roots = tree.scenes[tree.scene or 0].nodes or []
         if len(tree.scenes) > 1:
@@ -136,7 +136,7 @@ def _walk(document: Document) -> Iterator[_Node]:
     else:
         children = {child for node in tree.nodes for child in node.children or ()}
         roots = [index for index in roots if index not in children]
-    due = [(index, Z_UP) for index in reversed(roots)]
+    due: list[tuple[int, Array]] = [(index, Z_UP) for index in reversed(roots)]
     seen: set[int] = set()
     while due:
         index, parent = due.pop()

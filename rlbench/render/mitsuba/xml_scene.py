@@ -104,7 +104,8 @@ def _instantiate(config: Any, state: Any, skip_broken: bool) -> Any:
             index = xml_files.find_broken_shape(state, str(error)) if skip_broken else None
             if index is None:
                 raise
-            mi.Log(mi.LogLevel.Warn, f"a shape is left out, because it cannot be read: {error}")
+            log: Any = mi.Log
+            log(mi.LogLevel.Warn, f"a shape is left out, because it cannot be read: {error}")
             xml_files.remove_node(state, index)
 
 
