@@ -167,7 +167,7 @@ def _energy(bsdf: Mapping[str, Any]) -> float:
     metallic = bsdf.get("metallic", 0.0)
     if isinstance(metallic, Mapping):
         metallic = float(metallic.get("texture", metallic)["bitmap"].mean()) / 255
-    return 1 - SPECULAR_LOSS * (1 - metallic) * (eta - 1) / (4.08567 + 1.00071 * eta)
+    return float(1 - SPECULAR_LOSS * (1 - metallic) * (eta - 1) / (4.08567 + 1.00071 * eta))
 
 
 def _metallic_roughness(reader: _Reader, pbr: Any) -> dict[str, Any]:
@@ -283,7 +283,7 @@ def _cut_out(
     """`bsdf` with the opacity of the base colour's alpha, where it is needed."""
     if material.alphaMode not in ("MASK", "BLEND"):
         return bsdf
-    opacity = reader.texture(info, slice(3, 4), np.array([alpha]), is_color=False)
+    opacity: Any = reader.texture(info, slice(3, 4), np.array([alpha]), is_color=False)
     inner = opacity.get("texture", opacity) if isinstance(opacity, Mapping) else None
     cutoff = 0.5 if material.alphaCutoff is None else material.alphaCutoff
     if inner is None:

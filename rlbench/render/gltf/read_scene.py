@@ -41,7 +41,7 @@ class GltfScene:
 
 
 class _Node(NamedTuple):
-    index: int
+    number: int
     node: Any
     to_world: Float[Array, "4 4"]
 
@@ -234,7 +234,7 @@ class _Batches:
 def _meshes(document: Document, nodes: list[_Node]) -> tuple[Mesh, ...]:
     """The meshes of all nodes, merged by material."""
     batches = _Batches(document)
-    worlds = {node.index: node.to_world for node in nodes}
+    worlds = {node.number: node.to_world for node in nodes}
     read: dict[tuple[int, int], Any] = {}  # primitives, for the next instance
     for node in (node for node in nodes if node.node.mesh is not None):
         mesh = document.tree.meshes[node.node.mesh]

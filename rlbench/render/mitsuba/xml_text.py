@@ -31,7 +31,8 @@ REPLACED = {  # parts whose settings rlbench replaces, and a plugin of each
     "film": "hdrfilm",
     "rfilter": "box",
 }
-VALUES = {"maxDepth": "8", "max_depth": "8", "width": "768", "height": "576", "boolean": "false"}
+USED = ("maxDepth", "max_depth")  # of these parts, what rlbench takes from the file
+VALUES = {"width": "768", "height": "576", "boolean": "false"}
 
 
 def repair_syntax(text: str) -> tuple[str, list[str]]:
@@ -74,7 +75,7 @@ def find_replaced(text: str, given: Collection[str]) -> tuple[dict[str, str], li
     for element in root.iter():
         for key, value in element.attrib.items():
             for name in set(re.findall(r"\$(\w+)", value)) - known:
-                if id(element) in inside:
+                if id(element) in inside and element.get("name") not in USED:
                     values[name] = _value_for(element, key)
                 else:
                     others.add(name)
