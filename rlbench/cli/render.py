@@ -28,7 +28,9 @@ if TYPE_CHECKING:
 OF_PRESETS = (
     "scenes", "takes", "radiance_cap", "buffers", "remeasure_sample_time", "digests"
 )  # fmt: skip
-OF_FILES = ("camera", "frames", "size", "exposure", "skip_missing", "define", "tracer", "out")
+OF_FILES = (
+    "camera", "frames", "size", "exposure", "skip_missing", "define", "tracer", "sky", "out"
+)  # fmt: skip
 SCENE_FILE, PRESET_SCENES = "Of your own FILE", "Of a preset"  # titles of groups of options
 PBRT = (
     "scene file {file}: neither Mitsuba nor Cycles reads pbrt. Convert it to Mitsuba's XML: "
@@ -43,7 +45,7 @@ def render(
         Path | None,
         typer.Argument(
             metavar="FILE",
-            help="a scene of your own: .xml (Mitsuba), .py, .blend, .usd, .glb, .gltf, .fbx, .obj",
+            help="a scene of your own: .xml (Mitsuba), .py, .gltf, .glb, .blend, .usd, .fbx, .obj",
         ),
     ] = None,
     preset: options.Preset = "mini",
@@ -116,6 +118,14 @@ def render(
         Literal["mitsuba", "cycles"] | None,
         option(SCENE_FILE, "default: the one that reads the file"),
     ] = None,
+    sky: Annotated[
+        str | None,
+        option(
+            SCENE_FILE,
+            "add light: a radiance such as 1, sun, or a .hdr or .exr environment map",
+            value="SKY",
+        ),
+    ] = None,
     takes: options.Takes = None,
     radiance_cap: Annotated[
         float | None,
@@ -170,6 +180,7 @@ def render(
       rlbench render kitchen/scene.xml --camera dolly --frames 20 --size 320x192
       rlbench render kitchen/scene.xml --camera wander --seeds 0:20 --out clips/kitchen
       rlbench render mine.py --camera path.json --out clips/mine
+      rlbench render room.glb --camera wander --sky 1
       rlbench render atrium.blend --frames 20 -D max_bounces=6
     """
     _refuse_options_of_the_other(context, file)
@@ -207,6 +218,7 @@ def render(
             out=out,
             seed=seeds[0] if seeds else None,
             skip_missing=skip_missing,
+            sky=sky or "",
         )
         for clip in _each_seed(scene, seeds or Seeds(())):
             typer.echo(_render_clip(clip, get_preset(preset), tracer, executor))
@@ -291,8 +303,9 @@ def select_tracer(file: Path, tracer: str | None) -> str:
     Raises OptionError if no tracer, or not the requested one, reads it.
     """
     from rlbench.render.cycles.scene_file import FORMATS
+    from rlbench.render.gltf.document import FORMATS as GLTF
 
-    formats = {"mitsuba": (".xml", ".py"), "cycles": FORMATS}
+    formats = {"mitsuba": (".xml", ".py", *GLTF), "cycles": FORMATS}
     if file.suffix.lower() == ".pbrt":
         raise OptionError(PBRT.format(file=file))
     readers = [name for name, suffixes in formats.items() if file.suffix.lower() in suffixes]
@@ -301,4 +314,4 @@ def select_tracer(file: Path, tracer: str | None) -> str:
         raise OptionError(f"scene file {file}: no tracer reads it. {supported}")
     if tracer not in (None, *readers):
         raise OptionError(f"--tracer {tracer} does not read {file.name}. {supported}")
-    return readers[0]
+    return tracer or readers[0]

@@ -40,6 +40,9 @@ class Mesh:
         None  # an area emitter; for many lights, one mesh with a bitmap atlas
     )
     smooth: bool = False  # interpolate vertex normals?
+    normals: NDArray[np.float32] | None = None  # [v 3], in place of those that `smooth` computes
+    # [v c] by a name that begins with vertex_, for the textures of its material
+    attributes: Mapping[str, NDArray[np.float32]] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
@@ -59,6 +62,7 @@ class XmlFile:
     path: Path
     parameters: tuple[tuple[str, str], ...] = ()  # values that replace the file's <default> values
     skip_missing: bool = False  # leave out shapes whose file is missing, and make textures grey?
+    sky: str = ""  # an XML element that is added
 
 
 class SceneError(RlbenchError, ValueError):

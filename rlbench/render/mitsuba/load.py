@@ -13,7 +13,7 @@ from jaxtyping import Float, Int
 from numpy import ndarray as Array
 
 from rlbench.errors import RlbenchError
-from rlbench.render.mitsuba import xml_scene
+from rlbench.render.mitsuba import mesh_texture, xml_scene
 from rlbench.render.scene import Camera, Mesh, MitsubaDict, Pose, Scene
 
 ALIGNMENT = 64  # bytes; Dr.Jit compiles another kernel for unaligned input
@@ -37,6 +37,7 @@ def instantiate(description: MitsubaDict) -> Any:
     """The Mitsuba object of a scene dict; numpy arrays may stand for bitmaps and 4x4 transforms."""
     import mitsuba as mi
 
+    mesh_texture.register()
     return mi.load_dict(_to_mitsuba(description), optimize=False)
 
 
@@ -133,7 +134,7 @@ def _make_mesh(mesh: Mesh) -> Any:
         len(mesh.vertices),
         len(mesh.faces),
         properties,
-        has_vertex_normals=mesh.smooth,
+        has_vertex_normals=mesh.smooth or mesh.normals is not None,
         has_vertex_texcoords=mesh.uv is not None,
     )
     shape.set_id(mesh.name)
@@ -143,9 +144,14 @@ def _make_mesh(mesh: Mesh) -> Any:
     if mesh.uv is not None:
         _assign(parameters, "vertex_texcoords", mesh.uv)
     parameters.update()
-    if mesh.smooth:
-        _assign(parameters, "vertex_normals", smooth_normals(mesh.vertices, mesh.faces))
+    normals = mesh.normals
+    if normals is None and mesh.smooth:
+        normals = smooth_normals(mesh.vertices, mesh.faces)
+    if normals is not None:
+        _assign(parameters, "vertex_normals", _normalize(normals))
         parameters.update()
+    for name, values in mesh.attributes.items():
+        shape.add_attribute(name, values.shape[1], values.ravel().tolist())
     return shape
 
 
@@ -165,7 +171,7 @@ def _assign(parameters: Any, name: str, values: Array) -> None:
 
 
 def _to_mitsuba(value: Any, name: str = "") -> Any:
-    """`value` with arrays converted: those named `data` to tensors, 4x4 arrays to transforms."""
+    """`value` with its arrays: `data` as tensor, `bitmap` as bitmap, matrices as transforms."""
     import mitsuba as mi
 
     if isinstance(value, Mapping):
@@ -174,6 +180,10 @@ def _to_mitsuba(value: Any, name: str = "") -> Any:
         return value
     if name == "data":
         return mi.TensorXf(np.ascontiguousarray(value, np.float32))
+    if name == "bitmap":
+        return mi.Bitmap(np.array(value, order="C"))
+    if value.shape == (3, 3):
+        return mi.ScalarTransform3f(value.astype(float))
     if value.shape == (4, 4):
         return mi.ScalarTransform4f(value.astype(float))
     return value.astype(float).tolist()

@@ -10,7 +10,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from rlbench.render.mitsuba import xml_files, xml_repairs
+from rlbench.render.mitsuba import xml_files, xml_repairs, xml_text
 from rlbench.render.mitsuba.xml_files import children, file_resolver
 from rlbench.render.scene import Mesh, SceneError, XmlFile
 
@@ -60,7 +60,7 @@ def read_settings(xml_file: XmlFile) -> XmlSettings:
         xml_files.refuse_attribute_emitters(state)
         camera_to_world, fov, aspect = _read_sensor(state, notes)
         max_depth = _read_max_depth(state, notes)
-        content = f"{xml_file.parameters} {missing_files} {REPAIRS_VERSION}"
+        content = f"{xml_file.parameters} {missing_files} {REPAIRS_VERSION}{xml_file.sky}"
         digest = hashlib.blake2b(content.encode(), digest_size=16)
         for file in (xml_file.path, *files):
             digest.update(hashlib.blake2b(file.read_bytes()).digest())
@@ -75,21 +75,39 @@ def build_scene(xml_file: XmlFile, merge: bool) -> Any:
     With `merge`, meshes that share a BSDF become one, which is faster but loses their ids.
     """
     import mitsuba as mi
-    from mitsuba import parser
 
+    kinds = ("Sensor", "Integrator", "Sampler", "Film", "ReconstructionFilter")
+    replaced = [getattr(mi.ObjectType, kind) for kind in kinds]
     with _parse(xml_file, merge) as (config, state, *_):
         for node in (n for n in state.nodes if n.props.plugin_name() in ("scene", "merge")):
             for name, child in children(state, node):
-                if child.type in (mi.ObjectType.Sensor, mi.ObjectType.Integrator):
+                if child.type in replaced:
                     del node.props[name]
         level = mi.log_level()
         if any(map(xml_repairs.is_night, state.nodes)):  # a note says so, once
             mi.set_log_level(mi.LogLevel.Error)
         try:
-            scene = parser.instantiate(config, state)
+            scene = _instantiate(config, state, xml_file.skip_missing)
         finally:
             mi.set_log_level(level)
         return scene[0] if isinstance(scene, list) else scene
+
+
+def _instantiate(config: Any, state: Any, skip_broken: bool) -> Any:
+    """The scene of parsed nodes; with `skip_broken`, without meshes that cannot be read."""
+    import mitsuba as mi
+    from mitsuba import parser
+
+    while True:
+        try:
+            return parser.instantiate(config, state)
+        except RuntimeError as error:
+            index = xml_files.find_broken_shape(state, str(error)) if skip_broken else None
+            if index is None:
+                raise
+            log: Any = mi.Log
+            log(mi.LogLevel.Warn, f"a shape is left out, because it cannot be read: {error}")
+            xml_files.remove_node(state, index)
 
 
 def named_meshes(xml_file: XmlFile) -> dict[str, Mesh]:
@@ -130,10 +148,10 @@ def _parse(xml_file: XmlFile, merge: bool) -> Iterator[_ParsedFile]:
     resolver.prepend(str(path.resolve().parent))
     config = parser.ParserConfig(str(mi.variant()))
     config.merge_equivalent = config.merge_meshes = merge
+    config.unused_properties = mi.LogLevel.Warn  # properties that no plugin reads, by name and line
     try:
         original = path.read_text("utf-8", errors="replace")
-        text, notes = xml_repairs.repair_text(original)
-        parameters = dict(xml_file.parameters)
+        text, parameters, notes = _repair_text(original, xml_file)
         if text == original:
             state = parser.parse_file(config, str(path), **parameters)
         else:
@@ -142,6 +160,7 @@ def _parse(xml_file: XmlFile, merge: bool) -> Iterator[_ParsedFile]:
         parser.transform_upgrade(config, state)
         parser.transform_resolve(config, state)
         notes += xml_repairs.describe_repairs(xml_repairs.repair_nodes(state))
+        notes += xml_files.find_other_case(state)
         missing: xml_files.MissingFiles = {}
         if xml_file.skip_missing:
             missing = xml_files.replace_missing_files(state)
@@ -159,6 +178,17 @@ def _parse(xml_file: XmlFile, merge: bool) -> Iterator[_ParsedFile]:
         resolver.clear()
         for folder in saved:
             resolver.append(folder)
+
+
+def _repair_text(original: str, xml_file: XmlFile) -> tuple[str, dict[str, str], list[str]]:
+    """The text of a file with its added sky, after repairs; its parameters; and notes."""
+    given = dict(xml_file.parameters)
+    head, end, rest = original.rpartition("</scene>")
+    text = f"{head}{xml_file.sky}{end}{rest}" if xml_file.sky else original
+    text, notes = xml_text.repair_syntax(text)
+    text, more = xml_repairs.repair_text(text)
+    replaced, unset = xml_text.find_replaced(text, given)
+    return text, replaced | given, [*notes, *more, *unset]
 
 
 def _read_max_depth(state: Any, notes: list[str]) -> int:

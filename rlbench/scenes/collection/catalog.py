@@ -24,8 +24,18 @@ CREDITS = "CREDITS.md"  # beside the files of a downloaded scene
 LICENCES = {
     "CC0 1.0": "https://creativecommons.org/publicdomain/zero/1.0/",
     "CC BY 3.0": "https://creativecommons.org/licenses/by/3.0/",
+    "CC BY 4.0": "https://creativecommons.org/licenses/by/4.0/",
 }
 UNKNOWN_LICENCE = "unknown: see the folder's LICENSE.txt"
+
+
+@dataclass(frozen=True)
+class StartCamera:
+    """The camera of a scene whose file has none. The world is z up."""
+
+    origin: tuple[float, float, float]
+    target: tuple[float, float, float]
+    fov: float  # horizontal, degrees
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -41,6 +51,9 @@ class CollectionScene:
     commit: str = ""  # 40 hex digits
     folder: str = ""  # in the repository
     files: tuple[PinnedFile, ...] = ()  # empty: not pinned
+    main: str = SCENE_FILE  # the file of the scene, in its folder
+    sky: str = ""  # what `rlbench render --sky` adds
+    camera: StartCamera | None = None
 
     @property
     def presets(self) -> tuple[str, ...]:
@@ -62,7 +75,7 @@ class LocatedScene:
     """A scene on this machine, whole or in part."""
 
     entry: CollectionScene
-    scene: Path  # of scene.xml
+    scene: Path  # of the scene's file, mostly scene.xml
     missing: tuple[str, ...]  # pinned files that are absent or of another size, as in scene.xml
 
 
@@ -113,9 +126,9 @@ def find_located(entry: CollectionScene) -> LocatedScene | None:
     existence and size, not by content.
     """
     found = [
-        LocatedScene(entry, folder / SCENE_FILE, _missing_files(entry, folder))
+        LocatedScene(entry, folder / entry.main, _missing_files(entry, folder))
         for folder in _folders(entry.name)
-        if (folder / SCENE_FILE).is_file()
+        if (folder / entry.main).is_file()
     ]
     return min(found, key=lambda each: len(each.missing), default=None)
 
@@ -132,7 +145,7 @@ def locate(name: str) -> LocatedScene:
     command = f"`{get}`" if entry.files else f"`rlbench scenes pin {name}`, then `{get}`"
     raise SceneError(
         f"scene {name} lies in none of {', '.join(map(str, _folders(name)))}: run {command}, or "
-        f"set {MIRROR_VARIABLE} to a folder that has {name}/{SCENE_FILE}"
+        f"set {MIRROR_VARIABLE} to a folder that has {name}/{entry.main}"
     )
 
 
