@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from functools import partial
-from typing import NamedTuple, TypeGuard
+from typing import NamedTuple
 
 import torch
 from jaxtyping import Float, Int
@@ -110,12 +110,8 @@ def allocate_counts(
     >>> allocate_counts(density, 6, zero, 8, (0,)).flatten().tolist()
     [0, 1, 2, 3]
     """
-    images, low, high = density[:, 0].double(), min_counts[:, 0], max_counts
-    total = (
-        low.new_full((len(low), 1), total_samples) if _is_number(total_samples) else total_samples
-    )
-    total = total[..., None]
-    high = low.new_full((1, 1, 1), high).expand_as(low) if _is_number(high) else high[:, 0]
+    images, low = density[:, 0].double(), min_counts[:, 0]
+    total, high = _as_images(total_samples, low), _as_images(max_counts, low).expand_as(low)
     asked = questions or Questions()
     answers = asked.ask(_describe(images, total, low, high), partial(_check_fit, low[0].numel()))
     if answers is None:
@@ -238,5 +234,8 @@ def _round_shares(
     return round_to_total(fixed, total, seeds)
 
 
-def _is_number(value: int | Tensor) -> TypeGuard[int]:
-    return not isinstance(value, Tensor)
+def _as_images(value: int | Tensor, like: Tensor) -> Tensor:
+    """A number or a tensor [n 1 ...] as one that broadcasts with images [n h w] `like` these."""
+    if isinstance(value, int):
+        return like.new_full((len(like), 1, 1), value)
+    return value[:, 0] if value.ndim > 2 else value[..., None]

@@ -173,4 +173,5 @@ def hash_to_integers(seeds: Int[Tensor, " n"], levels: int) -> Int[Tensor, "leve
     for factor in HASH_FACTORS:
         mixed = mixed * factor + 1
         mixed = mixed ^ (mixed >> 32 & 0xFFFFFFFF)
-    return mixed >> (64 - THRESHOLD_BITS) & (2**THRESHOLD_BITS - 1)
+    top_bits: Tensor = mixed >> (64 - THRESHOLD_BITS) & (2**THRESHOLD_BITS - 1)
+    return top_bits

@@ -99,9 +99,8 @@ def _limit_everywhere(radiance: Tensor, counts: Tensor) -> tuple[Tensor, Tensor]
     mean = _mean(radiance, counts)
     light, brightest = _find_brightest(mean, known, radius)
     suspects = light * counts > CONTRAST * brightest
-    light_around, known_around = window_sum(
-        torch.cat((torch.minimum(light, brightest), known.to(light.dtype)), 1), radius
-    ).split(1, 1)
+    parts = (torch.minimum(light, brightest), known.to(light.dtype))
+    light_around, known_around = window_sum(torch.cat(parts, 1), radius).chunk(2, 1)
     replacement = light_around / known_around.clamp_min(1)
     dimmed = _dim(radiance, CONTRAST * brightest[:, None], replacement[:, None])
     limited = torch.where(suspects[:, None], dimmed, radiance)

@@ -33,7 +33,7 @@ class HostConstantError(RuntimeError):
     """A tensor of the program's numbers: a copy from the host, which no recording repeats."""
 
 
-class _RefuseConstants(TorchDispatchMode):
+class _RefuseConstants(TorchDispatchMode):  # type: ignore[no-untyped-call]
     """Raises HostConstantError where a tensor is made from numbers."""
 
     def __torch_dispatch__(
@@ -47,7 +47,7 @@ class _RefuseConstants(TorchDispatchMode):
 @requirement(
     "ask no questions of its tensors, or say why",
     REMEDY,
-    (*COMPARED, "density", "inputs", "in_place", "autograd", "state_copy"),
+    (*COMPARED, "density", "inputs", "in_place", "autograd", "leak", "state_copy"),
     lambda traits: f"Traits(eager_reason={traits.eager_reason!r})" if traits.eager_reason else None,
 )
 def check_recordable(tested: MethodUnderTest) -> Fault | None:
@@ -78,6 +78,6 @@ def _record(tested: MethodUnderTest, frame: Frame, state: State) -> None:
         pool = StoredPool(*imitate({"radiance": stored_radiance(frame), "seeds": seeds}).values())
         given = replace(frame, gbuffer=GBuffer(buffers, frame.gbuffer.static), pool=pool)
         state = replace_leaves(state, imitate(dict(read_leaves(state))))
-        with fake, _RefuseConstants():
+        with fake, _RefuseConstants():  # type: ignore[no-untyped-call]
             valid = sanitize_frame(given, tested.traits.inputs)
             run_frame(tested.method, valid, state, tested.default_spp)
