@@ -79,7 +79,7 @@ def test_a_cpu_may_ask_and_a_subclass_of_tensor_may_not():
 
 
 @pytest.mark.parametrize("name", ROWS)
-@pytest.mark.parametrize("spp", [0.4, 2.0])
+@pytest.mark.parametrize("spp", [0.4, pytest.param(2.0, marks=pytest.mark.slow)])
 def test_a_frame_without_questions_has_the_same_counts_image_and_repairs(name, spp):
     """Of each frame, from the same state: invalid values, empty pixels, fireflies and a cut."""
     variant = registry.get_variant(name)
