@@ -25,7 +25,7 @@ from rlbench.errors import RlbenchError
 from rlbench.frames import BUFFERS, Frame, GBuffer, Reference, Samples, Size, StoredPool
 from rlbench.method import Method, State
 from rlbench.ops.transfer import HALF_MAX
-from rlbench.sanitize import Repairs, sanitize_frame
+from rlbench.sanitize import FrameInput, Repairs, sanitize_frame
 
 __all__ = [
     "DEFAULT_METHOD",
@@ -124,12 +124,17 @@ def denoise_frame(
     _check_frame(method, frame, is_first=state is None)
     n, _, h, w = frame.mean.shape
     state = method.start(Size(n, h, w)) if state is None else state
-    gbuffer, mean, repairs = _sanitize(method, frame, exposure, torch.device(device))
+    valid, mean, clipped = _sanitize(method, frame, exposure, torch.device(device))
     slots = max(1, min(round(frame.spp), MAX_SLOTS))
     counts = torch.full_like(mean[:, :1], slots, dtype=torch.int64)
     radiance = mean.unsqueeze(1).expand(-1, slots, -1, -1, -1)  # takes no memory
     samples = Samples(radiance, counts, max(frame.spp / slots, 1.0))
-    image, state = method.denoise(gbuffer, samples, state)
+    image, state = method.denoise(valid.gbuffer, samples, state)
+    valid.questions.answer()
+    repairs = valid.repairs
+    if count := int(clipped):
+        repairs = {**repairs, CLIPPED: count, "radiance": repairs["radiance"] - count}
+    repairs = {name: count for name, count in repairs.items() if count}
     return DenoisedFrame((image / exposure).to(frame.mean.device), state, repairs)
 
 
@@ -221,18 +226,18 @@ def _check_frame(method: Method, frame: NoisyFrame, *, is_first: bool) -> None:
 
 def _sanitize(
     method: Method, frame: NoisyFrame, exposure: float, device: torch.device
-) -> tuple[GBuffer, Float[Tensor, "n 3 h w"], Repairs]:
-    """G-buffer and exposed mean on the device, invalid values replaced as in a run."""
+) -> tuple[FrameInput, Float[Tensor, "n 3 h w"], Tensor]:
+    """The frame and its exposed mean on the device, invalid values replaced as in a run.
+
+    Also the number of pixels whose light was clipped.
+    """
     given, inputs = frame.gbuffer, method.traits.inputs
     buffers = {k: v.to(device) for k, v in given.select(inputs).buffers.items()}
     mean = frame.mean.to(device, torch.float32) * exposure
     pool = StoredPool(mean.unsqueeze(1), (0,) * len(mean))
     is_static = given.static or "motion" not in buffers
     frame_input = Frame(0, GBuffer(buffers, is_static), pool, Reference(mean, mean))
-    gbuffer, valid, repairs = sanitize_frame(frame_input, inputs)
+    valid = sanitize_frame(frame_input, inputs)
     one = torch.ones_like(mean[:, :1], dtype=torch.int64)
-    radiance = valid.read(valid.empty(), one)[:, 0]
-    clipped = int((mean.isfinite().all(1) & (mean.amax(1) > HALF_MAX)).sum())
-    if clipped:
-        repairs = {**repairs, CLIPPED: clipped, "radiance": repairs["radiance"] - clipped}
-    return gbuffer, radiance, {name: count for name, count in repairs.items() if count}
+    clipped = (mean.isfinite().all(1) & (mean.amax(1) > HALF_MAX)).sum()
+    return valid, valid.pool.read(valid.pool.empty(), one)[:, 0], clipped

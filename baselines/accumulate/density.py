@@ -10,6 +10,7 @@ from jaxtyping import Bool, Float
 from torch import Tensor
 
 from baselines.accumulate.memory import History
+from rlbench.ops.asking import may_ask
 from rlbench.ops.box_filter import box_mean
 from rlbench.ops.color import luminance
 from rlbench.ops.transfer import log_inverse
@@ -83,10 +84,13 @@ def _quantile(
     values: Float[Tensor, "n 1 h w"], known: Bool[Tensor, "n 1 h w"]
 ) -> Float[Tensor, "n 1 1 1"]:
     """The 0.9 quantile of the known values of each image; 1 if none is known."""
-    counts = known.flatten(1).sum(1).tolist()
-    images = values.where(known, torch.inf).flatten(1)
+    images, count = values.where(known, torch.inf).flatten(1), known.flatten(1).sum(1)
+    if not may_ask(count):
+        rank = (NEW_PIXELS * (count - 1).double()).round().long().clamp_min(0)
+        ranked = images.sort(1).values.gather(1, rank[:, None])[:, 0]
+        return ranked.where(count > 0, 1.0).view(-1, 1, 1, 1)
     quantiles = [
         image.kthvalue(round(NEW_PIXELS * (count - 1)) + 1).values if count else image.new_ones(())
-        for image, count in zip(images, counts, strict=True)
+        for image, count in zip(images, count.tolist(), strict=True)
     ]
     return torch.stack(quantiles).view(-1, 1, 1, 1)

@@ -179,8 +179,8 @@ def timed_reader(stopwatch: Stopwatch) -> Callable[[Frame, frozenset[str]], Fram
     """`sanitize_frame` with a timed pool, to be passed to `rlbench.run_clip` as `read`."""
 
     def read(frame: Frame, inputs: frozenset[str]) -> FrameInput:
-        gbuffer, pool, repairs = sanitize_frame(frame, inputs)
-        return FrameInput(gbuffer, TimedPool(pool, stopwatch), repairs)
+        valid = sanitize_frame(frame, inputs)
+        return valid._replace(pool=TimedPool(valid.pool, stopwatch))
 
     return read
 

@@ -9,6 +9,7 @@ from .accumulation import (
 )
 from .affinity import affinity_sum, cross_affinity_sum
 from .antilag import history_confidence
+from .asking import is_recorded, may_ask
 from .color import OIDN_LUMINANCE, REC709_LUMINANCE, decode_srgb, encode_srgb, luminance
 from .demodulation import (
     demodulation_albedo,
@@ -125,4 +126,6 @@ __all__ = [
     "repair_spp",
     "reproject_radiance",
     "weigh_by_similarity",
+    "is_recorded",
+    "may_ask",
 ]
