@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any, ClassVar
@@ -53,7 +53,9 @@ class Metric:
     scores_previous: bool = False  # of the image before, which is shown in place of this one
     requires: tuple[str, ...] = ()  # Python distributions; a new version invalidates old scores
     scored_by_run: bool = True  # False: slow, or of an optional package; for `rlbench evaluate`
-    whole_clip: bool = False  # scores a list of all frames; only where `scored_by_run` is False
+    whole_clip: bool = False  # scores a list of all frames, by a run only with `from_psnr`
+    # the same score from the PSNR of all frames, of rows that a run gives a memory
+    from_psnr: Callable[[Sequence[float]], float] | None = None
     needs: tuple[str, ...] = ()  # counts, max_samples, motion: no score of a frame that lacks one
     takes_convention: bool = False  # `score` takes `convention=`, of metrics.conventions
     source: str = ""  # author and year of the definition
@@ -69,10 +71,10 @@ class Metric:
                 f"metric '{self.name}' reads previous_frames={self.previous_frames}, but a "
                 f"comparison keeps 0 to {MAX_PREVIOUS}; score whole clips with whole_clip=True"
             )
-        if self.whole_clip and self.scored_by_run:
+        if self.whole_clip and self.scored_by_run and not self.from_psnr:
             raise ValueError(
                 f"metric '{self.name}' has whole_clip=True and scored_by_run=True, but a run "
-                "scores frame by frame; give it scored_by_run=False"
+                "scores frame by frame; give it scored_by_run=False, or from_psnr"
             )
 
     def at(self, height: int, width: int) -> Metric:

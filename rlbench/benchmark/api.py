@@ -75,8 +75,8 @@ def run(
 
     `methods` is one name or several, or patterns such as `ours`, `oidn/*` or `all`; `spp` are
     budgets in samples per pixel. Clips are those of a `preset`, at its size or at `size` pixels
-    (height, width), all or the given `scenes` and `takes` ("main", "all"), and are rendered where they are missing; or those in the folders
-    `clips`.
+    (height, width), all or the given `scenes` and `takes` ("main", "all"), and are rendered where
+    they are missing; or those in the folders `clips`.
     `weights` is the path of a file or "random", whose rows are named `METHOD@weights_label`; None
     takes the shipped weights, as do methods that are not among `weights_for`, if it names any.
     `backend` runs the networks: "eager" is PyTorch, "openvino" and
@@ -237,9 +237,10 @@ def select_clips(
 ) -> tuple[StoredSource, ...]:
     """The clips in the folders `clips`, or those of a preset, rendered where they are missing.
 
-    `size` is the height and width in pixels of a preset's clips. `scenes` selects by the name of a scene or a clip. Samples are those that are "stored", or come
-    from a "live" path tracer. Only the preset's pools of the given kinds are rendered; None renders
-    all. Raises RlbenchError where a selection is empty or contradictory.
+    `size` is the height and width in pixels of a preset's clips. `scenes` selects by the name of a
+    scene or a clip. Samples are those that are "stored", or come from a "live" path tracer. Only
+    the preset's pools of the given kinds are rendered; None renders all. Raises RlbenchError where
+    a selection is empty or contradictory.
     """
     selected = list(scenes)
     if pool not in POOLS:

@@ -274,9 +274,10 @@ def render_preset_clips(
     """The clip folders of a preset, after rendering the missing frames.
 
     `size` in pixels (height, width), `radiance_cap` and extra G-buffer `buffers` select a variant
-    of the preset, in folders of its own. `scenes`, seeds of generated scenes, and `takes` (main or all) replace those of the preset.
-    Of its sample pools only the given kinds are rendered; default all. Raises UnknownPresetError
-    and OptionError for an unknown preset or scene, and PresetError for other values.
+    of the preset, in folders of its own. `scenes`, seeds of generated scenes, and `takes` (main or
+    all) replace those of the preset. Of its sample pools only the given kinds are rendered; default
+    all. Raises UnknownPresetError and OptionError for an unknown preset or scene, and PresetError
+    for other values.
     """
     selected = presets.get_preset(preset, size)
     installed = registry.list_plugins("scenes")
