@@ -114,6 +114,7 @@ DRIFT = Metric(
     "higher",
     "PSNR of the last quarter of a clip's frames less that of the first; peak 1, clipped sRGB",
     _drift,
+    scored_by_run=False,
     whole_clip=True,
     from_psnr=drift,
     source="this project: does the memory gather errors?",

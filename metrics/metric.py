@@ -53,8 +53,8 @@ class Metric:
     scores_previous: bool = False  # of the image before, which is shown in place of this one
     requires: tuple[str, ...] = ()  # Python distributions; a new version invalidates old scores
     scored_by_run: bool = True  # False: slow, or of an optional package; for `rlbench evaluate`
-    whole_clip: bool = False  # scores a list of all frames, by a run only with `from_psnr`
-    # the same score from the PSNR of all frames, of rows that a run gives a memory
+    whole_clip: bool = False  # scores a list of all frames; only where `scored_by_run` is False
+    # the same score from the PSNR of all frames: a run adds it to the rows of methods with a memory
     from_psnr: Callable[[Sequence[float]], float] | None = None
     needs: tuple[str, ...] = ()  # counts, max_samples, motion: no score of a frame that lacks one
     takes_convention: bool = False  # `score` takes `convention=`, of metrics.conventions
@@ -71,10 +71,10 @@ class Metric:
                 f"metric '{self.name}' reads previous_frames={self.previous_frames}, but a "
                 f"comparison keeps 0 to {MAX_PREVIOUS}; score whole clips with whole_clip=True"
             )
-        if self.whole_clip and self.scored_by_run and not self.from_psnr:
+        if self.whole_clip and self.scored_by_run:
             raise ValueError(
                 f"metric '{self.name}' has whole_clip=True and scored_by_run=True, but a run "
-                "scores frame by frame; give it scored_by_run=False, or from_psnr"
+                "scores frame by frame; give it scored_by_run=False"
             )
 
     def at(self, height: int, width: int) -> Metric:

@@ -317,7 +317,8 @@ class CellRunner:
             rows += [replace(row, note=row.note or remarks) for row in scored]
             pixels = add_counts(pixels, result.samples.counts)
             frames += [KeptFrame.of(result)] if self.keep_images else []
-        rows += memory_rows(template, self.metrics, rows) if cell.traits.temporal else []
+        if cell.traits.temporal:
+            rows += memory_rows(template, registry.load_memory_metrics().values(), rows)
         rows += count_rows(template, pixels)
         images = CellImages(cell.traits.pool, clip.digest, max_samples, frames)
         times = self._time_rows(cell, template, rows)

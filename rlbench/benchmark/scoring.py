@@ -202,7 +202,7 @@ def score_frame(
     frame = replace(template, frame=result.frame.index, mean_spp=mean_spp)
     for generic in metrics:
         metric = generic.at(*comparison.image.shape[-2:])  # as defined at this size
-        if metric.whole_clip or comparison.frames_before < metric.previous_frames:
+        if comparison.frames_before < metric.previous_frames:
             continue
         note = _missing_input(metric, comparison, header)
         score = math.nan if note else float(metric.score(comparison)[0])
@@ -238,7 +238,7 @@ def count_rows(template: Row, pixels: Tensor) -> list[Row]:
 
 
 def memory_rows(template: Row, metrics: Iterable[Metric], rows: Sequence[Row]) -> Iterator[Row]:
-    """Scores of a clip that a memory changes, such as `drift`, from the PSNR rows of its frames."""
+    """Scores such as `drift` of a method with a memory, from the PSNR rows of its frames."""
     scores = [row for row in rows if row.metric == "psnr"]
     notes = [row.note for row in scores if math.isnan(row.value)]
     mean_spp = sum(row.mean_spp for row in scores) / max(len(scores), 1)
@@ -246,7 +246,7 @@ def memory_rows(template: Row, metrics: Iterable[Metric], rows: Sequence[Row]) -
     for metric in metrics:
         if metric.from_psnr and scores:
             value = metric.from_psnr([row.value for row in scores])
-            yield _score_row(whole, metric, value, notes[0] if math.isnan(value) else "")
+            yield _score_row(whole, metric, value, next(iter(notes), ""))
 
 
 def score_clip(
