@@ -110,6 +110,7 @@ PSNR_LATE = Metric(
     source="this project: what a missed deadline costs",
 )
 DRIFT = Metric(
+    "drift",
     "dB",
     "higher",
     "PSNR of the last quarter of a clip's frames less that of the first; peak 1, clipped sRGB",
