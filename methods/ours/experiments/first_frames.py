@@ -2,7 +2,7 @@
 
 Command: python -m methods.ours.experiments.first_frames CLIPS --spp 1,4
 
-Each frame of a clip is a first frame: the method starts anew, so a clip of eight frames gives eight.
+Each frame of a clip is a first frame: the method starts anew, so a clip of 8 frames gives 8.
 """
 
 from __future__ import annotations
@@ -37,7 +37,7 @@ class Step(NamedTuple):
 
     method: str
     difference: str
-    constants: Constants = {}  # noqa: RUF012 - of modules, as in memory_constants
+    constants: Constants = {}  # of modules, as in memory_constants
 
     @property
     def label(self) -> str:
