@@ -19,7 +19,7 @@ def test_a_run_at_a_size_renders_it_and_its_file_of_options_repeats_it(tmp_path)
     assert 'size = "32x24"' in config.read_text()
     assert "nothing to do: all 1 cells" in rlbench(*words, "--config", config)
     printed = rlbench("render", "--preset", "tiny-32x24", "--scenes", "temple", "--motion")
-    assert "tiny-32x24/temple  motion in pixels a frame: median" in printed
+    assert "tiny-32x24/temple motion in pixels a frame: median" in printed
     other = (*words, "--config", config, "--size", "24x24")
     assert "exist for preset tiny-32x24 and would be overwritten" in rlbench(*other, code=2)
 

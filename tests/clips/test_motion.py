@@ -16,4 +16,3 @@ def test_median_and_high_percentile_leave_out_first_frames_and_cuts(tmp_path, cu
     lengths = [np.hypot(*content(i)["motion"].T) for i in range(1, 4) if i not in cuts]
     expected = np.percentile(np.concatenate(lengths), [50, 95])
     assert measure_motion([folder]) == pytest.approx(tuple(expected), rel=1e-5)  # stored in float32
-    assert measure_motion([folder, folder]) == pytest.approx(tuple(expected), rel=1e-5)

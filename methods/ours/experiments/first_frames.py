@@ -48,9 +48,9 @@ class Step(NamedTuple):
 STEPS = (
     Step("oidn", "the U-Net, Intel's weights", {(fireflies, "CONTRAST"): 1e12}),
     Step("oidn", "fireflies limited"),
-    Step("oidn/filled", "holes filled: none at 1 spp and more"),
-    Step("accumulate/intel", "mixed with the last image, of which there is none"),
+    Step("accumulate/intel", "behind the memory, which is empty"),
     Step("oidn/tuned", "weights tuned on single frames"),
+    Step("oidn/filled", "holes filled, of which uniform samples leave none from 1 spp on"),
     Step("accumulate/tuned", "weights tuned behind the memory"),
     Step("ours/A2", "reads history too, trained with it"),
     Step("ours/flat", "weights trained with a sampler, sampled uniformly"),
