@@ -222,7 +222,7 @@ def render(
             skip_missing=skip_missing,
         )
         for clip in _each_seed(scene, seeds or Seeds(())):
-            typer.echo(_render_clip(clip, get_preset(preset), tracer, executor))
+            typer.echo(_render_clip(clip, get_preset(preset, size), tracer, executor))
 
 
 def _refuse_options_of_the_other(context: typer.Context, file: Path | None) -> None:

@@ -35,6 +35,7 @@ REAL_DEVELOPMENT_LARGE = (
     "living-room-2-000", "living-room-2-001", "living-room-2-005", "bathroom-102", "kitchen-101",
 )  # fmt: skip
 SIZE = r"-([1-9]\d*)x([1-9]\d*)"  # in the name of a preset at another size: width and height
+VARIANT = r"-(cap[^-]*|views)"  # in the name of a preset with a radiance cap or extra buffers
 SPEEDS = (3.0, 1.0, 2.0)  # of clips of 640x360, whose motion so reaches 30 pixels a frame
 WINDOWED = ("train", "train-hard", "train-real")  # presets of which NAME-windows exists
 WINDOW_FRAMES = 8  # of their clips, at least
@@ -79,9 +80,7 @@ class Preset:
     pools: tuple[str, ...] = ("path",)
     extra_buffers: tuple[str, ...] = ()  # G-buffer channels beside those that every clip has
     speeds: tuple[float, ...] = (1.0,)  # factors on all motion, dealt to clips by their seed
-    windows: bool = (
-        False  # does each clip show a window of a larger frame (rlbench.render.windows)?
-    )
+    windows: bool = False  # does a clip show a window of a larger frame? (rlbench.render.windows)
 
     @property
     def is_test_set(self) -> bool:
@@ -255,8 +254,8 @@ def is_clip_for(use: PresetUse, preset: str, scene: str, name: str) -> bool:
 
 
 def _base(preset: str) -> str:
-    """The preset of which a name with a radiance cap or extra buffers is a variant."""
-    return re.sub(rf"-(cap[^-]*|views|windows)|{SIZE}", "", preset)
+    """The preset of which a name with another size, windows, a cap or buffers is a variant."""
+    return re.sub(rf"{VARIANT}|-windows|{SIZE}", "", preset)
 
 
 def _uses(preset: str) -> tuple[PresetUse, ...]:
@@ -276,6 +275,11 @@ def get_preset(name: str, size: tuple[int, int] | None = None) -> Preset:
     if preset is None:
         raise UnknownPresetError(unknown_name(f"no preset '{name}'", name, PRESETS))
     return preset.with_size(size) if size else preset
+
+
+def preset_of_clip(name: str) -> Preset | None:
+    """The preset in a clip's header, whose radiance cap and extra buffers are not known here."""
+    return find_preset(re.sub(VARIANT, "", name))
 
 
 def find_preset(name: str) -> Preset | None:

@@ -1,7 +1,8 @@
 """What the constants of the memory are worth: scores with others in their place.
 
 Command: python -m methods.ours.experiments.memory_constants CLIPS --spp 1,4 --method ours
-With --of sizes: other sizes in pixels, to ask whether they should grow with the frame.
+With --of sizes: other sizes in pixels, to ask whether they should grow with the frame. The score
+is PSNR without the noise of the reference.
 
 Networks stay as they are, so a change that a network would have to learn shows as less than it is.
 """
@@ -12,6 +13,7 @@ import argparse
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
+from statistics import fmean
 from types import ModuleType
 
 import pandas as pd
@@ -22,8 +24,10 @@ import baselines.accumulate.memory as memory
 import baselines.accumulate.method as method_by_rule
 from methods.ours.experiments.command import add_clips, print_gains, read_cells
 from rlbench import registry
+from rlbench.clips.stored import open_clip
+from rlbench.method import Method
 from rlbench.ops import accumulation, antilag
-from rlbench.training.train_state import validate
+from rlbench.run import run_clip
 
 PROGRAM = "python -m methods.ours.experiments.memory_constants"
 AS_THEY_ARE = "as they are"
@@ -74,12 +78,23 @@ def constants(values: Constants) -> Iterator[None]:
 def measure_clip(
     folder: Path, spp: float, name: str, changes: Mapping[str, Constants]
 ) -> Iterator[dict[str, object]]:
-    """PSNR in dB with each change, the mean over the frames of a clip."""
+    """Debiased PSNR in dB with each change, the mean over the frames of a clip."""
     method = registry.load_method(name, "cpu")
     for label, values in changes.items():
         with constants(values):
-            psnr = validate(method, {folder.name: [folder]}, [spp], "cpu").psnr
+            psnr = mean_psnr(method, folder, spp)
         yield {"clip": folder.name, "spp": spp, "constants": label, "psnr": psnr}
+
+
+def mean_psnr(method: Method, folder: Path, spp: float) -> float:
+    """PSNR without the noise of the reference, in dB: the mean over the frames of a clip."""
+    metric = registry.load_plugin("metrics", "psnr_debiased")
+    clip = open_clip(folder, method.traits.inputs)
+    scores: list[float] = []
+    for result in run_clip(method, clip, spp):
+        halves = result.frame.reference.half_a, result.frame.reference.half_b
+        scores += metric.score(metric.compare(result.image, *halves)).tolist()
+    return fmean(scores)
 
 
 def main() -> None:

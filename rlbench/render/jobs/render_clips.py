@@ -155,7 +155,7 @@ def scene_of_clip(clip: str) -> Scene:
 
 def scene_of_header(header: Header) -> Scene:
     """The scene of a rendered clip, as its preset shows it. Raises as `scene_of_clip`."""
-    scene, preset = scene_of_clip(header.name), presets.find_preset(header.preset)
+    scene, preset = scene_of_clip(header.name), presets.preset_of_clip(header.preset)
     return show_clip(scene, header.name, preset) if preset else scene
 
 
