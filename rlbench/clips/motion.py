@@ -29,4 +29,4 @@ def _lengths(folder: Path) -> np.ndarray:
     if header.static:
         return np.zeros(len(frames) * header.height * header.width, np.float32)
     motions = [clip.arrays.gbuffer(frame, ["motion"])["motion"] for frame in frames]
-    return np.concatenate([np.hypot(*np.float32(motion)).ravel() for motion in motions])
+    return np.concatenate([np.hypot(motion[0], motion[1]).ravel() for motion in motions])

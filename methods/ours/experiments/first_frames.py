@@ -93,7 +93,7 @@ def main() -> None:
         index="step", columns="spp", values=list(SCORES), sort=False
     )
     console = Console(width=200)
-    names = [f"{spp:g} spp{', debiased' * (score != 'psnr')}" for score, spp in table.columns]
+    names = [f"{column[1]:g} spp{', debiased' * (column[0] != 'psnr')}" for column in table.columns]
     console.print(f"| row | step | {' | '.join(names)} |")
     console.print("| --- | --- |" + " ---: |" * len(names))
     for label, row in table.iterrows():
