@@ -246,7 +246,8 @@ def memory_rows(template: Row, metrics: Iterable[Metric], rows: Sequence[Row]) -
     for metric in metrics:
         if metric.from_psnr and scores:
             value = metric.from_psnr([row.value for row in scores])
-            yield _score_row(whole, metric, value, next(iter(notes), ""))
+            note = next(iter(notes), "") if math.isnan(value) else ""
+            yield _score_row(whole, metric, value, note)
 
 
 def score_clip(

@@ -19,7 +19,6 @@ from rlbench.render.fingerprint import fingerprint
 from rlbench.render.mitsuba.gbuffer import render_gbuffer
 from rlbench.render.mitsuba.open_tracer import open_tracer
 from rlbench.render.scene import Pose, Scene, Window
-from rlbench.render.user import auto_exposure
 
 WINDOWS_VERSION = 1  # raised whenever the same clip shows another window
 LINES = (192, 1080)  # of virtual frames, drawn in ratio
@@ -67,8 +66,7 @@ def _draw(scene: Scene, clip: str, frames: int, size: tuple[int, int]) -> Scene:
 
 def _measure_motion(scene: Scene, frames: int, lines: int, width: int) -> float:
     """The motion that 5 % of the virtual frame exceed in the middle of the clip, in its pixels."""
-    with auto_exposure.mitsuba_errors():
-        tracer = open_tracer(scene, COARSE, max(1, round(COARSE * width / lines)))
+    tracer = open_tracer(scene, COARSE, max(1, round(COARSE * width / lines)))
     tracer.set_time(float(frames // 2))
     motion = render_gbuffer(tracer, ("motion",))["motion"]
     return float(np.percentile(np.linalg.norm(motion, axis=-1), 95)) * lines / COARSE
@@ -82,8 +80,7 @@ def _follow(
     The point stays where it is in the scene. Without a surface it is infinitely far away.
     """
     middle = float(frames // 2)
-    with auto_exposure.mitsuba_errors():
-        tracer = open_tracer(scene, lines, width)
+    tracer = open_tracer(scene, lines, width)
     tracer.set_time(middle)
 
     def distance(ray: object) -> tuple[object]:
