@@ -20,6 +20,7 @@ MAX_DENSITY = 4.0  # times the rule's mean
 NEW_PIXELS = 0.9  # quantile of the rule that pixels without history get
 KNOWN = 0.3  # least similarity of a pixel with history
 DARK = 0.05  # radiance added to the image before deviations are divided by it
+CONTRAST_SIDE, BLUR_SIDE = 3, 3  # pixels, sides of the windows of the contrast rule
 DEVIATION_SIDE = 7  # pixels, side of the window that variances are averaged over
 
 DensityRule = Callable[[History], Tensor]
@@ -36,7 +37,8 @@ class HasImage(Protocol):
 def contrast(history: HasImage) -> Float[Tensor, "n 1 h w"]:
     """Roughness of the last image: its distance from its 3x3 mean in log transfer, blurred."""
     image = history.image
-    return box_mean((image - box_mean(image, 3)).abs().mean(1, keepdim=True), 3)
+    rough = (image - box_mean(image, CONTRAST_SIDE)).abs().mean(1, keepdim=True)
+    return box_mean(rough, BLUR_SIDE)
 
 
 def deviation(history: History) -> Float[Tensor, "n 1 h w"]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Collection, Set
 
 import pandas as pd
@@ -22,6 +23,7 @@ FEW_METRICS = 2  # that a remark names one by one
 NAMED_SCENES = 8  # that a reason names one by one
 SAMPLE_TIMES = ("sample_ms", "sample_low_ms", "sample_high_ms")
 GIVEN_GBUFFER = "given: --gbuffer-ms"  # convention of G-buffer times that do not grow with samples
+MIXED_SIZES = 2  # factor in pixels from which on two sizes share no mean; films differ in shape
 REQUESTED = ", requested "  # in a reason, before the budget that a sentence names anyway
 
 
@@ -129,6 +131,7 @@ def check_comparable(rows: pd.DataFrame) -> None:
         )
     measured = rows[rows["value"].notna() & (rows["metric"] != "sample_ms")]
     _check_presets(measured)
+    _check_sizes(measured)
     _check_versions(measured)
     cost_source(rows)
 
@@ -157,6 +160,21 @@ def _check_presets(measured: pd.DataFrame) -> None:
                 f"({', '.join(presets)}), which are different images; measure each preset into a "
                 "folder of its own (rlbench run --out FOLDER)"
             )
+
+
+def _check_sizes(measured: pd.DataFrame) -> None:
+    """Raise ReportError for sizes whose numbers of pixels differ by a factor of MIXED_SIZES."""
+    sizes = sorted(set(measured["size"]) - {""}, key=_count_pixels)
+    if sizes and _count_pixels(sizes[-1]) >= MIXED_SIZES * _count_pixels(sizes[0]):
+        raise ReportError(
+            f"the results mix images of {' and '.join((sizes[0], sizes[-1]))} pixels, whose scores "
+            "have no common mean; measure each size into a folder of its own (rlbench run --size "
+            "WIDTHxHEIGHT --out FOLDER)"
+        )
+
+
+def _count_pixels(size: str) -> int:
+    return math.prod(map(int, size.split("x")))
 
 
 def _check_versions(measured: pd.DataFrame) -> None:

@@ -41,6 +41,7 @@ from rlbench.benchmark.scoring import (
     add_counts,
     buffers_of_truth,
     count_rows,
+    memory_rows,
     refusal_row,
     row_template,
     score_frames,
@@ -342,6 +343,8 @@ class CellRunner:
             rows += [replace(row, note=row.note or remarks) for row in scored]
             pixels = add_counts(pixels, result.samples.counts)
             frames += [KeptFrame.of(result)] if self.keep_images else []
+        if cell.traits.temporal:
+            rows += memory_rows(template, registry.load_memory_metrics().values(), rows)
         rows += count_rows(template, pixels)
         images = CellImages(cell.traits.pool, clip.digest, max_samples, frames)
         times = self._time_rows(cell, template, rows)

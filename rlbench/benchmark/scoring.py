@@ -245,6 +245,19 @@ def count_rows(template: Row, pixels: Tensor) -> list[Row]:
     ]
 
 
+def memory_rows(template: Row, metrics: Iterable[Metric], rows: Sequence[Row]) -> Iterator[Row]:
+    """Scores such as `drift` of a method with a memory, from the PSNR rows of its frames."""
+    scores = [row for row in rows if row.metric == "psnr"]
+    notes = [row.note for row in scores if math.isnan(row.value)]
+    mean_spp = sum(row.mean_spp for row in scores) / max(len(scores), 1)
+    whole = replace(template, frame=WHOLE_CLIP, mean_spp=mean_spp)
+    for metric in metrics:
+        if metric.from_psnr and scores:
+            value = metric.from_psnr([row.value for row in scores])
+            note = next(iter(notes), "") if math.isnan(value) else ""
+            yield _score_row(whole, metric, value, note)
+
+
 def score_clip(
     template: Row, generic: Metric, comparisons: Sequence[Comparison], header: Header
 ) -> Row:

@@ -10,7 +10,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
-from rlbench.cli.arguments import WeightsChoice
+from rlbench.cli.arguments import PixelSize, WeightsChoice
 from rlbench.errors import OptionError
 from rlbench.registry.near_names import unknown_name
 from rlbench.system import documents
@@ -90,6 +90,8 @@ def write(context: Any, file: Path) -> None:
 def _as_toml(value: Any) -> Any:
     if isinstance(value, WeightsChoice):
         return f"{value.label}={value.file}" if value.label else value.file
+    if isinstance(value, PixelSize):
+        return str(value)
     if isinstance(value, list | tuple):
         return [_as_toml(each) for each in value]
     return str(value) if isinstance(value, Path) else value

@@ -114,10 +114,10 @@ def _next_run(rows: pd.DataFrame, method: str, spp: float, results: Path) -> str
     sample, which images made elsewhere have not; the weights of a row with a label are not known.
     """
     from rlbench.benchmark.results import RowName
-    from rlbench.render.presets import PRESETS
+    from rlbench.render.presets import find_preset
 
     own = rows[rows["method"] == method]
-    presets = [PRESETS.get(name) for name in set(own["preset"])]
+    presets = [find_preset(name) for name in set(own["preset"])]
     sources = own.loc[own["metric"] == "sample_ms", "convention"]
     is_measured = not sources.empty and sources.str.contains(", measured on ").all()
     if (

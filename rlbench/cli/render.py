@@ -26,11 +26,9 @@ if TYPE_CHECKING:
     from rlbench.render.user.clip import UserSceneOptions
 
 OF_PRESETS = (
-    "scenes", "takes", "radiance_cap", "buffers", "remeasure_sample_time", "digests"
+    "scenes", "takes", "radiance_cap", "buffers", "remeasure_sample_time", "digests", "motion"
 )  # fmt: skip
-OF_FILES = (
-    "camera", "frames", "size", "exposure", "skip_missing", "define", "tracer", "sky", "out"
-)  # fmt: skip
+OF_FILES = ("camera", "frames", "exposure", "skip_missing", "define", "tracer", "sky", "out")
 SCENE_FILE, PRESET_SCENES = "Of your own FILE", "Of a preset"  # titles of groups of options
 PBRT = (
     "scene file {file}: neither Mitsuba nor Cycles reads pbrt. Convert it to Mitsuba's XML: "
@@ -49,6 +47,15 @@ def render(
         ),
     ] = None,
     preset: options.Preset = "mini",
+    size: Annotated[
+        PixelSize | None,
+        option(
+            CLIPS,
+            "in pixels; default: that of the preset, or the film's shape with as many pixels",
+            value="WIDTHxHEIGHT",
+            parse=parse_size,
+        ),
+    ] = None,
     scenes: options.Scenes = None,
     seeds: Annotated[
         Seeds | None,
@@ -70,15 +77,6 @@ def render(
     ] = None,
     frames: Annotated[
         int | None, option(SCENE_FILE, "default: as in the preset, or the matrices", min=1)
-    ] = None,
-    size: Annotated[
-        PixelSize | None,
-        option(
-            SCENE_FILE,
-            "in pixels; default: the film's shape, as many pixels as the preset",
-            value="WIDTHxHEIGHT",
-            parse=parse_size,
-        ),
     ] = None,
     out: Annotated[
         Path | None,
@@ -159,6 +157,14 @@ def render(
             "print the name of each clip and the hash of its pixels, not its folder",
         ),
     ] = False,
+    motion: Annotated[
+        bool,
+        flag(
+            PRESET_SCENES,
+            "--motion",
+            "also print the motion of each clip and of all, in pixels a frame: median and 95 %",
+        ),
+    ] = False,
 ) -> None:
     """Render the clips of a preset, or of your own scene file.
 
@@ -172,6 +178,7 @@ def render(
       rlbench render
       rlbench render --preset train --seeds 0:40
       rlbench render --scenes city,hall-cut --preset standard
+      rlbench render --preset development --size 640x360 --motion
       rlbench render --radiance-cap 64
       rlbench render --buffers object,normal_psr
       rlbench render --preset standard --engine ray --ray-address auto
@@ -200,10 +207,14 @@ def render(
                 split_names(buffers),
                 executor,
                 takes=takes,
+                size=size,
             )
             for each in folders:
                 times = _remeasure(each) if remeasure_sample_time else ""
-                typer.echo(f"{_digest(each) if digests else each}{times}")
+                moves = _motion([each]) if motion else ""
+                typer.echo(f"{_digest(each) if digests else each}{times}{moves}")
+            if motion:
+                typer.echo(f"all {len(folders)} clips{_motion(folders)}")
             return
         from rlbench.render.presets import get_preset
         from rlbench.render.user.clip import UserSceneOptions
@@ -221,7 +232,7 @@ def render(
             sky=sky or "",
         )
         for clip in _each_seed(scene, seeds or Seeds(())):
-            typer.echo(_render_clip(clip, get_preset(preset), tracer, executor))
+            typer.echo(_render_clip(clip, get_preset(preset, size), tracer, executor))
 
 
 def _refuse_options_of_the_other(context: typer.Context, file: Path | None) -> None:
@@ -243,6 +254,14 @@ def _digest(folder: Path) -> str:
 
     clip = open_clip(folder)
     return f"{clip.name} {clip.digest[:12]}"
+
+
+def _motion(folders: list[Path]) -> str:
+    """The motion of clips in words."""
+    from rlbench.clips.motion import measure_motion
+
+    median, high = measure_motion(folders)
+    return f"  motion in pixels a frame: median {median:.1f}, 95 % {high:.1f}"
 
 
 def _remeasure(folder: Path) -> str:

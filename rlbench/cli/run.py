@@ -24,6 +24,7 @@ def run(
     plugin: options.Plugins = None,
     scenes: options.Scenes = None,
     preset: options.Preset = "mini",
+    size: options.Size = None,
     clips: options.Clips = None,
     spp: options.Spp = options.DEFAULT_SPP,
     cost: options.Cost = "measured",
@@ -126,6 +127,7 @@ def run(
       rlbench run -m ours -m 'oidn/*' --scenes city --spp 1,4 --cost paper-2080ti --out paper
       rlbench run -m mine --plugin mine.py --clips my_renders/ --out mine
       rlbench run -m ours,mean --draws 4 --out draws
+      rlbench run -m ours,oidn --preset development --size 640x360 --out large
       rlbench run -m ours --scenes temple --pool live --out live
       rlbench run -m ours,oidn --weights ours=runs/ours/ours.safetensors
       rlbench run -m ours --weights seed1=runs/seed1/ours/ours.safetensors
@@ -161,6 +163,7 @@ def run(
             spp=spp,
             scenes=split_names(scenes),
             preset=preset,
+            size=size,
             takes=takes,
             clips=clips,
             pool=pool,

@@ -19,7 +19,7 @@ from rlbench.cli.methods import expand_methods, load_rows
 from rlbench.cli.options import MEASUREMENT, METHODS, file, flag, folder, number, option
 from rlbench.errors import OptionError
 
-SIZES = PixelSizes((PixelSize((192, 192)), PixelSize((720, 720)), PixelSize((1080, 1920))))
+SIZES = PixelSizes((PixelSize(192, 192), PixelSize(720, 720), PixelSize(1080, 1920)))
 
 
 def speed(

@@ -621,3 +621,13 @@ def _files(folder: Path) -> dict[str, int]:
 def _srgb(linear: np.ndarray) -> np.ndarray:
     x = linear.clip(0, 1)
     return np.where(x <= 0.0031308, 12.92 * x, 1.055 * x ** (1 / 2.4) - 0.055)
+
+
+def test_rows_of_methods_with_a_memory_have_the_drift_of_their_frames(tmp_path):
+    folder = write_noise(tmp_path / "noise", frames=5)
+    measure_scores(run_plan(folder, "mean", "svgf"), tmp_path / "r")
+    rows = table.read(tmp_path / "r")
+    found = rows[rows["metric"] == "drift"]
+    assert found[["method", "frame", "unit"]].values.tolist() == [["svgf", -1, "dB"]]
+    psnr = rows[(rows["metric"] == "psnr") & (rows["method"] == "svgf")].set_index("frame")["value"]
+    assert found["value"].item() == pytest.approx(psnr[4] - psnr[0])

@@ -142,8 +142,9 @@ def import_arrays(source: Path, layout: Layout, start: int = 0) -> ClipArrays:
     gbuffer = {name: _stack([frame.gbuffer[name] for frame in frames]) for name in sequence.buffers}
     header = writer.clip_header(sequence, min(sequence.counts))
     pools = {"path": _stack([frame.pool for frame in frames])}
-    halves = (_stack([f.half_a for f in frames]), _stack([f.half_b for f in frames]))
-    halves = _stand_in(halves, pools)
+    halves = _stand_in(
+        [_stack([f.half_a for f in frames]), _stack([f.half_b for f in frames])], pools
+    )
     return ClipArrays(header, gbuffer, pools, *halves).without_stand_ins.sanitized
 
 

@@ -14,7 +14,7 @@ from numpy import ndarray as Array
 
 from rlbench.errors import RlbenchError
 from rlbench.render.mitsuba import mesh_texture, xml_scene
-from rlbench.render.scene import Camera, Mesh, MitsubaDict, Pose, Scene
+from rlbench.render.scene import Mesh, MitsubaDict, Pose, Scene, Window
 
 ALIGNMENT = 64  # bytes; Dr.Jit compiles another kernel for unaligned input
 STRENGTH_PARAMETERS = (
@@ -91,7 +91,8 @@ def pinhole_vectors(pose: Pose, height: int, width: int) -> tuple[Any, Any, Any,
 
     right, down, forward = pose.camera_axes()
     across, along = right * pose.tangent_per_pixel(width), down * pose.tangent_per_pixel(width)
-    corner = forward - across * width / 2 - along * height / 2
+    x, y = pose.film_centre(height, width)
+    corner = forward - across * x - along * y
 
     def opaque(vector: Array) -> Any:
         return mi.Vector3f([dr.opaque(mi.Float, float(v)) for v in vector])
@@ -100,11 +101,14 @@ def pinhole_vectors(pose: Pose, height: int, width: int) -> tuple[Any, Any, Any,
     return opaque(origin), opaque(corner), opaque(across), opaque(along)
 
 
-def make_sensor(camera: Camera, height: int, width: int) -> Any:
+def make_sensor(pose: Pose, height: int, width: int) -> Any:
     """The same pinhole as a Mitsuba sensor, for the scalar variant."""
     import mitsuba as mi
 
-    film = {"type": "hdrfilm", "height": height, "width": width, "rfilter": {"type": "box"}}
+    camera, whole = pose.camera, pose.window or Window(height, width, 0, 0)
+    film = {"type": "hdrfilm", "height": whole.height, "width": whole.width}
+    crop = {"crop_offset_x": whole.left, "crop_offset_y": whole.top}
+    film |= crop | {"crop_width": width, "crop_height": height, "rfilter": {"type": "box"}}
     pixels = {"pixel_format": "rgb", "component_format": "float32"}
     look_at = [[float(v) for v in p] for p in (camera.origin, camera.target, camera.up)]
     return mi.load_dict(

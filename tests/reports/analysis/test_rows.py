@@ -35,6 +35,7 @@ def changed(column, first, other):
 REFUSED = {
     "devices": (changed("device", "A", "B"), "A, B"),
     "presets": (changed("preset", "mini", "standard"), r"city-0 .*mini, standard"),
+    "sizes": (changed("size", "192x192", "640x360"), "192x192 and 640x360"),
     "costs": (rows(["ours"]) + rows(["ntas"], profile="this machine"), "2 sources"),
     "rows": ([], "no rows"),
 } | {
@@ -48,6 +49,10 @@ def test_rows_that_cannot_be_compared_are_refused(kind):
     table, message = REFUSED[kind]
     with pytest.raises(ReportError, match=message):
         check_comparable(to_dataframe(table))
+
+
+def test_films_of_other_shapes_and_about_as_many_pixels_are_comparable():
+    check_comparable(to_dataframe(changed("size", "192x192", "256x144")))
 
 
 def test_rows_are_split_by_the_device_of_methods_not_by_that_which_rendered():
