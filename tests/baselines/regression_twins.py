@@ -102,3 +102,88 @@ def antialias(image, previous, alpha):
             clamped = np.clip(old[y, x], low, high)
             mixed[y, x] = np.linalg.solve(matrix, alpha * colour[y, x] + (1 - alpha) * clamped)
     return np.maximum(mixed, 0)
+
+
+def mirror_inside(index: int, size: int) -> int:
+    """The index of a pixel beyond the border, the border pixel not repeated."""
+    return 2 * size - 2 - index if index >= size else abs(index)
+
+
+def neighbour_variance(image):
+    """The squared distance from the mean of the up to eight neighbours."""
+    h, w, _ = image.shape
+    variance = np.zeros((h, w))
+    for y in range(h):
+        for x in range(w):
+            near = [
+                image[v, u]
+                for v in range(max(y - 1, 0), min(y + 2, h))
+                for u in range(max(x - 1, 0), min(x + 2, w))
+                if (v, u) != (y, x)
+            ]
+            variance[y, x] = ((image[y, x] - np.mean(near, 0)) ** 2).sum()
+    return variance
+
+
+def cross_regression(explaining, response, albedo, normal, side=17, step=4):
+    """Weighted ridge regressions by `numpy.linalg.lstsq`, and the mean of their predictions."""
+    h, w, _ = response.shape
+    variance = neighbour_variance(explaining)
+    reach = side // 2
+
+    def explain(pixel, centre, channel):
+        deviations = math.sqrt(variance[pixel]) + math.sqrt(variance[centre]) + 1e-2
+        colour = (explaining[pixel] - explaining[centre])[channel] / deviations
+        return [
+            1,
+            colour,
+            (albedo[pixel] - albedo[centre])[channel],
+            *(normal[pixel] - normal[centre]),
+        ]
+
+    def weigh(pixel, centre):
+        distance = ((explaining[pixel] - explaining[centre]) ** 2).sum()
+        return math.exp(-distance / (variance[pixel] + variance[centre] + 1e-4)) + 1e-7
+
+    total, weights = np.zeros((h, w, 3)), np.zeros((h, w, 1))
+    for cy in range(0, h, step):
+        for cx in range(0, w, step):
+            places = [
+                (cy + i, cx + j) for i in range(-reach, reach + 1) for j in range(-reach, reach + 1)
+            ]
+            pixels = [(mirror_inside(y, h), mirror_inside(x, w)) for y, x in places]
+            root = np.sqrt([weigh(p, (cy, cx)) for p in pixels])[:, None]
+            solved = []
+            for channel in range(3):
+                rows = np.array([explain(p, (cy, cx), channel) for p in pixels]) * root
+                matrix = np.concatenate([rows, math.sqrt(1e-3) * np.eye(6)])
+                values = np.array([response[p][channel] for p in pixels]) * root[:, 0]
+                target = np.concatenate([values, np.zeros(6)])
+                solved.append(np.linalg.lstsq(matrix, target, rcond=None)[0])
+            for pixel in {p for p in places if p in set(pixels) and p[0] >= 0 and p[1] >= 0}:
+                weight = weigh(pixel, (cy, cx))
+                predicted = [explain(pixel, (cy, cx), c) @ solved[c] for c in range(3)]
+                total[pixel] += weight * np.array(predicted)
+                weights[pixel] += weight
+    return np.maximum(total / weights, 0)
+
+
+def cross_bilateral(pilots, surface, bands, side=11):
+    """Sums of colours and of weights of both pilots, [h w 2 4]."""
+    h, w, _ = pilots.shape
+    reach = side // 2
+    sums = np.zeros((h, w, 2, 4))
+    for y in range(h):
+        for x in range(w):
+            for i in range(-reach, reach + 1):
+                for j in range(-reach, reach + 1):
+                    q = mirror_inside(y + i, h), mirror_inside(x + j, w)
+                    apart = (surface[y, x] - surface[q]) ** 2
+                    shared = bands[y, x, 2] * apart[:3].sum() + bands[y, x, 3] * apart[3:].sum()
+                    shared += bands[y, x, 4] * (i * i + j * j) / reach**2
+                    for k in range(2):
+                        colour = pilots[q][3 * k : 3 * k + 3]
+                        distance = ((pilots[y, x, 3 * k : 3 * k + 3] - colour) ** 2).sum()
+                        weight = math.exp(-bands[y, x, k] * distance - shared)
+                        sums[y, x, k] += weight * np.array([*colour, 1])
+    return sums
