@@ -46,6 +46,9 @@ RECOVERING := ours,ours/lag,ours/latent,accumulate/contrast,accumulate/tuned,oid
 # rows whose images of scenes by others are shown
 PAINTED := accumulate/contrast,oidn,ours,accumulate/tuned
 
+# rows that need no training data, beside three that do or that are older
+REGRESSIONS := bmfr,cross,cross/pilots,cross/frozen,cross/contrast,svgf,oidn,ours
+
 # learned rows near the front, in all backends
 SPEED := oidn-intel,oidn/tuned,accumulate/contrast,ours,ours/latent,ntas,svgf
 
@@ -69,7 +72,7 @@ FILMED := mean,oidn,svgf,ntas,ours
 
 SPP := 1000
 
-.PHONY: demo docs tables baseline table1 viewer unseen speed metric-speed overhead takes real recovery gradients stress training campaign contact teaser switched videos site test test-all format clean
+.PHONY: demo docs tables baseline table1 viewer unseen speed metric-speed overhead takes regressions real recovery gradients stress training campaign contact teaser switched videos site test test-all format clean
 
 demo: .venv/run.stamp
 	$(BIN)/rlbench run --preset mini --keep-images --out $(RESULTS)
@@ -135,6 +138,11 @@ overhead: .venv/dev.stamp
 takes: .venv/dev.stamp
 	$(BIN)/rlbench run -m '$(TAKES)' --preset takes --spp 0.5,1,2,4 --scores-only --out $(RESULTS)/takes
 	$(call page,clips -m '$(TAKES)',$(RESULTS)/takes,takes)
+
+# rivals that fit or learn on the frames themselves: an hour of scoring
+regressions: .venv/dev.stamp
+	$(BIN)/rlbench run -m '$(REGRESSIONS)' --preset mini --spp 1,2,4 --scores-only --out $(RESULTS)/regressions
+	$(call page,summary -m '$(REGRESSIONS)',$(RESULTS)/regressions,regression-rivals)
 
 # scenes by others: does the order of our presets hold, and who paints blotches on walls
 real: .venv/dev.stamp

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass, replace
+from functools import reduce
 from typing import NamedTuple
 
 import torch
@@ -179,9 +181,9 @@ def antialias(
     return torch.where(valid, mixed, image)
 
 
-def _greatest(images: object) -> Tensor:
-    first, second, third = images  # type: ignore[misc]
-    return torch.maximum(torch.maximum(first, second), third)
+def _greatest(images: Iterable[Tensor]) -> Tensor:
+    """The greatest value at each pixel."""
+    return reduce(torch.maximum, images)
 
 
 def _to_ycocg(rgb: Float[Tensor, "n 3 h w"]) -> Float[Tensor, "n 3 h w"]:

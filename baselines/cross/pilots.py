@@ -28,11 +28,11 @@ def split_halves(samples: Samples) -> tuple[Float[Tensor, "n 3 h w"], Float[Tens
     """Means of the samples in even and in odd slots; a half without samples gets the other's."""
     radiance = limit_fireflies(samples.radiance, samples.counts).clamp_min(0)
     counts = samples.counts.to(radiance.dtype)
-    whole = radiance.sum(1) / counts.clamp_min(1)
+    all_samples = radiance.sum(1) / counts.clamp_min(1)
     halves = []
     for first, count in ((0, ((counts + 1) / 2).floor()), (1, (counts / 2).floor())):
         mean = radiance[:, first::2].sum(1) / count.clamp_min(1)
-        halves.append(torch.where(count > 0, mean, whole))
+        halves.append(torch.where(count > 0, mean, all_samples))
     return halves[0], halves[1]
 
 
