@@ -80,8 +80,9 @@ class Bmfr:
     depends on the scene's unit. History taps match within 10 % of depth, since there are no world
     positions, and within the published distance of normals. Normals and positions of pixels without
     a surface, and of emitters that reflect nothing, have no part in a fit; these pixels pass to
-    antialiasing as they are. An emitter that reflects is fitted as if it were lit,
-    and its light spreads over its block, since a G-buffer holds no emission to subtract. Antialiasing works in log transfer before any tone mapping, and starts
+    antialiasing as they are. An emitter that reflects is fitted as if it were lit, and its light
+    spreads over its block, since a G-buffer holds no emission to subtract. Antialiasing works in
+    log transfer before any tone mapping, and starts
     anew where the previous position is outside. Offsets and noise start anew in a clip all of
     which lost its history. Noise comes from another hash, in single precision; a ridge of 0.001 per
     coefficient gives blocks without a surface a solution.
