@@ -57,6 +57,7 @@ from .sanitize import (
     sanitize_radiance,
 )
 from .stencils import Tap, atrous_taps
+from .surface_taps import SurfaceTaps, find_surface_taps
 from .transfer import log_forward, log_inverse, pu_forward, pu_inverse, squash_depth
 from .unet import UNet
 from .upsample import UpsampleConcatConv
@@ -66,6 +67,7 @@ __all__ = [
     "REC709_LUMINANCE",
     "AccumulatedRadiance",
     "PaddedRows",
+    "SurfaceTaps",
     "Tap",
     "UNet",
     "UpsampleConcatConv",
@@ -84,6 +86,7 @@ __all__ = [
     "feature_similarity",
     "fill_holes",
     "filtered_albedo",
+    "find_surface_taps",
     "frame_radiance",
     "history_confidence",
     "kaiming_init",
