@@ -109,18 +109,23 @@ def _missing_numbers(rows: pd.DataFrame) -> list[str]:
 
 def _remarks(rows: pd.DataFrame, folder: Path) -> list[str]:
     """How many rows have uncertain times and why, and remarks on scores."""
-    frames = rows[rows["metric"].isin(TIMES) & rows["note"].str.startswith(results.UNCERTAIN)]
-    found = []
-    if count := len(frames[["method", "target_spp"]].drop_duplicates()):
-        reason = frames["note"].iloc[0].removeprefix(results.UNCERTAIN).strip()
-        found.append(
-            f"{count} row{'s have' if count > 1 else ' has'} uncertain times, marked ±: {reason}. "
-            f"When the machine is quiet, measure these again: rlbench run --config "
-            f"{folder / 'run.toml'} --out {folder} --retime uncertain"
-        )
     scored = rows[(rows["metric"] == "psnr") & rows["value"].notna() & (rows["note"] != "")]
     pairs = scored[["method", "note"]].drop_duplicates().sort_values(["method", "note"])
-    return found + [f"{method}: {note}" for method, note in pairs.itertuples(index=False)]
+    notes = [f"{method}: {note}" for method, note in pairs.itertuples(index=False)]
+    return [*uncertainty_remark(rows, folder), *notes]
+
+
+def uncertainty_remark(rows: pd.DataFrame, folder: Path) -> list[str]:
+    """How many rows have uncertain times, why, and the command that mends them; or nothing."""
+    uncertain = rows[rows["metric"].isin(TIMES) & rows["note"].str.startswith(results.UNCERTAIN)]
+    if not (count := len(uncertain[["method", "target_spp"]].drop_duplicates())):
+        return []
+    reason = uncertain["note"].iloc[0].removeprefix(results.UNCERTAIN).strip()
+    return [
+        f"{count} row{'s have' if count > 1 else ' has'} uncertain times, marked ±: {reason}. "
+        "When the machine is quiet, measure these again: rlbench run --config "
+        f"{folder / 'run.toml'} --out {folder} --retime uncertain"
+    ]
 
 
 def _number(value: float | None) -> float | None:
