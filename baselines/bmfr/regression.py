@@ -28,14 +28,16 @@ class Blocks(NamedTuple):
     def gather(self, image: Float[Tensor, "n c h w"]) -> Float[Tensor, "n c blocks 1024"]:
         """The pixels of all blocks."""
         flat, index = image.flatten(2), self.source[:, None]
-        return flat.gather(2, index.expand(-1, flat.shape[1], -1)).unflatten(2, (-1, SIDE**2))
+        return torch.unflatten(
+            flat.gather(2, index.expand(-1, flat.shape[1], -1)), 2, (-1, SIDE**2)
+        )
 
     def scatter(
         self, blocks: Float[Tensor, "n c blocks 1024"], h: int, w: int
     ) -> Float[Tensor, "n c h w"]:
         """The image of the blocks' pixels; undoes `gather`."""
         index = self.place[:, None].expand(-1, blocks.shape[1], -1)
-        return blocks.flatten(2).gather(2, index).unflatten(2, (h, w))
+        return torch.unflatten(blocks.flatten(2).gather(2, index), 2, (h, w))
 
 
 def lay_blocks(frame: Int[Tensor, " n"], h: int, w: int) -> Blocks:
@@ -44,7 +46,7 @@ def lay_blocks(frame: Int[Tensor, " n"], h: int, w: int) -> Blocks:
     (x, columns), (y, rows) = (
         _cover(offset[:, axis, None], size) for axis, size in ((0, w), (1, h))
     )
-    source = (y[:, :, None] * w + x[:, None]).unflatten(1, (rows, SIDE)).unflatten(3, (-1, SIDE))
+    source = (y[:, :, None] * w + x[:, None]).view(len(y), rows, SIDE, -1, SIDE)
     source = source.transpose(2, 3).flatten(1)  # n place
     from_left, from_top = (
         torch.arange(size, device=frame.device) - offset[:, axis, None]
@@ -157,8 +159,8 @@ def fit_blocks(
     clean = scale_features(blocks.gather(features), mask)
     target = blocks.gather(light).where(mask, 0.0)
     noisy = (clean + feature_noise(frame, noise)).where(mask, 0.0)
-    problems = (part.transpose(1, 2).flatten(0, 1) for part in (noisy, target))
+    noisy, target = (part.transpose(1, 2).flatten(0, 1) for part in (noisy, target))
     with torch.autocast(light.device.type, enabled=False):
-        weights = solve_least_squares(*problems)  # (n blocks) 10 3
+        weights = solve_least_squares(noisy, target)  # (n blocks) 10 3
         fitted = weights.mT @ clean.transpose(1, 2).flatten(0, 1)
-    return blocks.scatter(fitted.unflatten(0, (n, -1)).transpose(1, 2), h, w).clamp_min(0)
+    return blocks.scatter(torch.unflatten(fitted, 0, (n, -1)).transpose(1, 2), h, w).clamp_min(0)

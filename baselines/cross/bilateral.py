@@ -52,7 +52,7 @@ class _FilterPilots(torch.autograd.Function):
         images, bands = ctx.saved_tensors
         h, w = images.shape[2:]
         rows, band_rows = _join_rows(images), _join_rows(bands, 0)
-        grad_rows = _join_rows(grad.flatten(1, 2), 0).unflatten(1, (2, 4))
+        grad_rows = torch.unflatten(_join_rows(grad.flatten(1, 2), 0), 1, (2, 4))
         gradient = torch.zeros_like(band_rows)
         for place, p, q, distance in _pairs(w, band_rows.shape[2], images.is_cuda):
             weight, squares = _weigh(rows[..., p], rows[..., q], band_rows[..., place], distance)
@@ -76,7 +76,7 @@ def _join_rows(image: Float[Tensor, "n c h w"], border: int = REACH) -> Float[Te
 
 def _split_rows(rows: Float[Tensor, "n *c row"], h: int, w: int) -> Float[Tensor, "n *c h w"]:
     """The images of rows joined with a border of 0."""
-    return rows.unflatten(-1, (h, w + 2 * REACH))[..., :w]
+    return torch.unflatten(rows, -1, (h, w + 2 * REACH))[..., :w]
 
 
 def _pairs(w: int, length: int, is_cuda: bool) -> Iterator[tuple[slice, slice, slice, float]]:
@@ -96,7 +96,7 @@ def _pairs(w: int, length: int, is_cuda: bool) -> Iterator[tuple[slice, slice, s
 
 def _weigh(p: Tensor, q: Tensor, bands: Tensor, distance: float) -> tuple[Tensor, Tensor]:
     """Weights of both pilots, and squared distances of pilots, albedo and normal [n 4 row]."""
-    squares = (p[:, :12] - q[:, :12]).square_().unflatten(1, (4, 3)).sum(2)
+    squares = torch.unflatten((p[:, :12] - q[:, :12]).square_(), 1, (4, 3)).sum(2)
     terms = bands[:, :4] * squares
     shared = torch.add(terms[:, 2:].sum(1, keepdim=True), bands[:, 4:], alpha=distance)
     return (terms[:, :2] + shared).neg_().clamp_min_(MIN_LOG_WEIGHT).exp_(), squares
@@ -105,4 +105,4 @@ def _weigh(p: Tensor, q: Tensor, bands: Tensor, distance: float) -> tuple[Tensor
 def _values(q: Tensor) -> Float[Tensor, "n 2 4 row"]:
     """Both pilots, each with a channel of ones."""
     ones = q[:, 12:]
-    return torch.cat((q[:, :3], ones, q[:, 3:6], ones), 1).unflatten(1, (2, 4))
+    return torch.unflatten(torch.cat((q[:, :3], ones, q[:, 3:6], ones), 1), 1, (2, 4))

@@ -208,14 +208,14 @@ def screen(
     The range is that of the mean of the pilots, or of the pilot, in 7 x 7 pixels; all channels have
     to be inside.
     """
-    current = torch.cat((pilots.unflatten(1, (2, 3)).mean(1), pilots), 1)
+    current = torch.cat((torch.unflatten(pilots, 1, (2, 3)).mean(1), pilots), 1)
     previous = torch.cat((image, old_pilots), 1)
     both = torch.cat((current, -current), 1)
     for side in ((1, SCREEN_SIDE), (SCREEN_SIDE, 1)):  # rows, then columns
         both = F.max_pool2d(both, side, stride=1, padding=(side[0] // 2, side[1] // 2))
     most, negative_least = both.chunk(2, 1)
     inside = (previous < most) & (-previous < negative_least)
-    fits = inside.unflatten(1, (3, 3)).all(2) & known
+    fits = torch.unflatten(inside, 1, (3, 3)).all(2) & known
     chosen = previous.where(fits.repeat_interleave(3, 1), current)
     return Screened(chosen[:, :3], chosen[:, 3:], fits[:, :1])
 
@@ -285,7 +285,7 @@ class Pilots:
         """The image in linear radiance: the mean of both in radiance."""
         with torch.autocast(gbuffer.depth.device.type, enabled=False):
             surface = _read_surface(gbuffer)
-            light = make_pilots(samples, surface).expm1().unflatten(1, (2, 3)).mean(1)
+            light = torch.unflatten(make_pilots(samples, surface).expm1(), 1, (2, 3)).mean(1)
             return light.where(surface.mask, sanitize_radiance(samples.mean)), None
 
 

@@ -129,7 +129,7 @@ def _predict(
             model = spread[..., top : top + h, left : left + w]
             terms, weight = _explain(guide, model[:, :11])
             weight = weight * model[:, -1:] * reached
-            beta = model[:, 11:-1].unflatten(1, (3, COEFFICIENTS))
+            beta = torch.unflatten(model[:, 11:-1], 1, (3, COEFFICIENTS))
             total = total + weight * (beta * terms).sum(2)
             weights = weights + weight
     return (total / weights.clamp_min(MIN_WEIGHT)).clamp(0, MAX_LOG)

@@ -17,7 +17,7 @@ MIN_WEIGHT = 0.01  # total weight below which no tap counts (Falcor's SVGF pass)
 class SurfaceTaps(NamedTuple):
     """For each pixel the four pixels of the last frame around its previous position."""
 
-    index: Int[Tensor, "n 4 h w"]  # of a pixel in reading order; 0 where the tap is outside
+    pixels: Int[Tensor, "n 4 h w"]  # of a pixel in reading order; 0 where the tap is outside
     weight: Float[Tensor, "n 4 h w"]  # sums to 1, or to 0 where no tap is on the surface
 
     @property
@@ -29,7 +29,7 @@ class SurfaceTaps(NamedTuple):
         """The history as seen from this frame: the weighted mean of the taps, or 0 without any."""
         flat = history.flatten(2)
         total = torch.zeros_like(history)
-        for index, weight in zip(self.index.unbind(1), self.weight.unbind(1), strict=True):
+        for index, weight in zip(self.pixels.unbind(1), self.weight.unbind(1), strict=True):
             tap = flat.gather(2, index.flatten(1)[:, None].expand_as(flat)).view_as(history)
             total = torch.addcmul(total, tap, weight[:, None])
         return total
