@@ -48,9 +48,9 @@ class Questions:
         """Read all numbers that are left, in one transfer. Raises what the judges raise."""
         if not self._asked:
             return
-        asked = self._asked[:]
+        pending = self._asked[:]
         self._asked.clear()
-        numbers = torch.cat([values.double() for values, _ in asked]).tolist()
-        for values, judge in asked:
+        numbers = torch.cat([values.double() for values, _ in pending]).tolist()
+        for values, judge in pending:
             judge(numbers[: len(values)])
             del numbers[: len(values)]

@@ -112,8 +112,8 @@ def allocate_counts(
     """
     images, low = density[:, 0].double(), min_counts[:, 0]
     total, high = _as_images(total_samples, low), _as_images(max_counts, low).expand_as(low)
-    asked = questions or Questions()
-    answers = asked.ask(_describe(images, total, low, high), partial(_check_fit, low[0].numel()))
+    own = questions or Questions()
+    answers = own.ask(_describe(images, total, low, high), partial(_check_fit, low[0].numel()))
     if answers is None:
         images = images.nan_to_num(0, 0, 0).clamp_min(0)
         total = total.clamp(low.sum((1, 2), True), high.sum((1, 2), True))
@@ -123,7 +123,7 @@ def allocate_counts(
     shares = _water_fill(images / images.amax((1, 2), True), total, low, high)
     counts = _round_shares(shares, total, high, rounding_seeds).unsqueeze(1)
     if questions is None:
-        asked.answer()
+        own.answer()
     return counts
 
 

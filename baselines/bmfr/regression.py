@@ -42,7 +42,7 @@ class Blocks(NamedTuple):
 
 def lay_blocks(frame: Int[Tensor, " n"], h: int, w: int) -> Blocks:
     """Blocks that cover images of h x w pixels, displaced by the offset of each clip's frame."""
-    offset = torch.tensor(OFFSETS, device=frame.device)[frame % len(OFFSETS)] - SIDE // 2
+    offset = torch.stack([block_offset(frame, axis) for axis in (0, 1)], 1) - SIDE // 2
     (x, columns), (y, rows) = (
         _cover(offset[:, axis, None], size) for axis, size in ((0, w), (1, h))
     )
@@ -55,6 +55,22 @@ def lay_blocks(frame: Int[Tensor, " n"], h: int, w: int) -> Blocks:
     in_block = (from_top % SIDE)[:, :, None] * SIDE + (from_left % SIDE)[:, None]
     block = (from_top // SIDE)[:, :, None] * columns + (from_left // SIDE)[:, None]
     return Blocks(source, (block * SIDE**2 + in_block).flatten(1))
+
+
+def block_offset(frame: Int[Tensor, " n"], axis: int) -> Int[Tensor, " n"]:
+    """The entry of OFFSETS for each frame, along an axis.
+
+    The table is packed into two integers, 4 bits an entry: a tensor of it would be copied from the
+    host in every frame.
+    """
+    step, bits = frame % len(OFFSETS), 4
+    half = len(OFFSETS) // 2
+    first, second = (
+        sum((offset[axis] + 16) // 2 << bits * i for i, offset in enumerate(part))
+        for part in (OFFSETS[:half], OFFSETS[half:])
+    )
+    packed = torch.where(step < half, first, second) >> bits * (step % half)
+    return 2 * (packed & 15) - 16
 
 
 def _cover(start: Int[Tensor, "n 1"], size: int) -> tuple[Int[Tensor, "n side"], int]:

@@ -8,6 +8,7 @@ published times of a renderer, and of methods, on a named machine.
 from __future__ import annotations
 
 import json
+import logging
 import math
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field, replace
@@ -21,7 +22,10 @@ from rlbench.registry.near_names import suggest
 from rlbench.system import code_hash, documents, paths, provenance
 
 if TYPE_CHECKING:
+    from rlbench.benchmark.clip_sources import StoredSource
     from rlbench.clips.header import Header
+
+_logger = logging.getLogger(__name__)
 
 MEASURED = "measured"  # the name of no profile: times of this machine
 PROFILES = Path(__file__).parent / "profiles"
@@ -314,6 +318,22 @@ def is_uncertain(header: Header) -> bool:
     """True if the time of a sample in a header has a wide interval."""
     ms = header.sample_ms
     return uncertainty(ms, *(end * ms for end in _interval(header))) > WIDE
+
+
+def with_certain_sample(clip: StoredSource) -> StoredSource:
+    """The clip, after its time of a sample was measured again if it was uncertain, as far as here.
+
+    That of another machine, and of a scene that is not installed, stays; a warning says why.
+    """
+    if not is_uncertain(clip.header):
+        return clip
+    from rlbench.render.jobs.render_clips import remeasure_sample_ms
+
+    try:
+        remeasure_sample_ms(clip.folder)
+    except RlbenchError as error:
+        _logger.warning("the time of a sample of %s stays: %s", clip.header.name, error)
+    return replace(clip)  # which reads the header anew
 
 
 def _interval(header: Header) -> tuple[float, float]:

@@ -31,7 +31,7 @@ from rlbench.benchmark.cell_key import (
     check_no_overwrite,
     superseded_cells,
 )
-from rlbench.benchmark.clip_sources import StoredSource, samples_at_cap
+from rlbench.benchmark.clip_sources import samples_at_cap
 from rlbench.benchmark.content_hash import CellIds
 from rlbench.benchmark.looks import record_looks
 from rlbench.benchmark.results import WHOLE_CLIP, Row
@@ -53,7 +53,7 @@ from rlbench.benchmark.timing import (
     failed_time_rows,
     timing_rows,
 )
-from rlbench.errors import OptionError, RlbenchError
+from rlbench.errors import OptionError
 from rlbench.method import config_json
 from rlbench.parallel.executor import LOCAL, Executor, JobResult, ProgressCallback, Resources
 from rlbench.run import run_clip
@@ -135,7 +135,7 @@ def measure(
         check_times_alone(scores_only, keep_images)
     plan.check_unique_names()
     if retime == "uncertain" and plan.cost == cost.MEASURED:
-        plan = replace(plan, clips=tuple(map(_with_certain_cost, plan.clips)))
+        plan = replace(plan, clips=tuple(map(cost.with_certain_sample, plan.clips)))
     runner = CellRunner(plan, keep_images=keep_images, scores_only=scores_only)
     with locked_folder(folder):
         return _measure(runner, CellStore(folder), on_cell, executor, on_timing, retime)
@@ -189,19 +189,6 @@ def _is_uncertain(rows: Sequence[Row]) -> bool:
     """True if a time of these rows has a wide interval, or if they have none."""
     times = [row for row in rows if row.unit == "ms"]
     return not times or any(row.note.startswith(results.UNCERTAIN) for row in times)
-
-
-def _with_certain_cost(clip: StoredSource) -> StoredSource:
-    """The clip, after its time of a sample was measured again if it is uncertain and known here."""
-    if not cost.is_uncertain(clip.header):
-        return clip
-    from rlbench.render.jobs.render_clips import remeasure_sample_ms
-
-    try:
-        remeasure_sample_ms(clip.folder)
-    except RlbenchError as error:  # of another machine, or of a scene that is not here
-        _logger.warning("the time of a sample of %s stays: %s", clip.header.name, error)
-    return replace(clip)  # which reads the header anew
 
 
 def _store(

@@ -250,12 +250,12 @@ def memory_rows(template: Row, metrics: Iterable[Metric], rows: Sequence[Row]) -
     scores = [row for row in rows if row.metric == "psnr"]
     notes = [row.note for row in scores if math.isnan(row.value)]
     mean_spp = sum(row.mean_spp for row in scores) / max(len(scores), 1)
-    whole = replace(template, frame=WHOLE_CLIP, mean_spp=mean_spp)
+    of_clip = replace(template, frame=WHOLE_CLIP, mean_spp=mean_spp)
     for metric in metrics:
         if metric.from_psnr and scores:
             value = metric.from_psnr([row.value for row in scores])
             note = next(iter(notes), "") if math.isnan(value) else ""
-            yield _score_row(whole, metric, value, note)
+            yield _score_row(of_clip, metric, value, note)
 
 
 def score_clip(

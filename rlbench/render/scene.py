@@ -207,13 +207,13 @@ class Pose:
 
     def tangent_per_pixel(self, width: int) -> float:
         """Tangent of the angle per pixel: tan(fov / 2) divided by half the whole frame's width."""
-        whole = self.window.width if self.window else width
-        return float(np.tan(np.radians(self.camera.fov) / 2) * 2 / whole)
+        frame_width = self.window.width if self.window else width
+        return float(np.tan(np.radians(self.camera.fov) / 2) * 2 / frame_width)
 
     def film_centre(self, height: int, width: int) -> Float[Array, "2"]:
         """Where the view axis meets the film, in pixels; it may lie outside of a window."""
-        whole = self.window or Window(height, width, 0, 0)
-        return np.array([whole.width / 2 - whole.left, whole.height / 2 - whole.top])
+        frame = self.window or Window(height, width, 0, 0)
+        return np.array([frame.width / 2 - frame.left, frame.height / 2 - frame.top])
 
     def ray_directions(
         self, film: Float[Array, "p 2"], height: int, width: int

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import asdict, replace
+from dataclasses import asdict
 from itertools import product
 from pathlib import Path
 from typing import Any, Literal, NamedTuple
@@ -31,10 +31,9 @@ from rlbench.checks.lint.edges import (
 from rlbench.checks.lint.geometry import VIEW_DEPTH, check_depth, check_normals
 from rlbench.checks.lint.jitter import find_jitter_fault, frame_disagreements
 from rlbench.checks.lint.motion import (
-    DIRECTIONS,
+    FORMAT_V1,
     MARGIN_OPPOSITE,
     MIN_EXPLAINED,
-    MotionConvention,
     check_motion,
     format_share,
     rank_conventions,
@@ -49,7 +48,7 @@ from rlbench.clips.importers.sequence import SourceError
 from rlbench.system.documents import to_toml
 
 SURE, LIKELY = 0.1, 0.03  # leads over the next reading
-TO_PREVIOUS = MotionConvention().direction
+TO_PREVIOUS = FORMAT_V1.direction
 PERIODS = (8, 16, 32)  # of the jitter of engines
 Y_AXES: tuple[Literal["down", "up"], ...] = ("down", "up")
 MAX_JITTER_ERROR = 0.4  # of the jitter's change that a sequence does not explain
@@ -66,13 +65,6 @@ KINDS = {  # of depth: the reading, and the word of a layout
     "distance to the camera": "distance",
     "inverse depth 1 / z": "inverse",
     "z-buffer (0 near, 1 far)": "z-buffer",
-}
-UNITS = {
-    "pixels": ("pixels", 1.0),
-    "half pixels": ("pixels", 0.5),
-    "twice pixels": ("pixels", 2.0),
-    "NDC (-1..1)": ("ndc", 1.0),
-    "UV (0..1)": ("shares", 1.0),
 }
 Tables = dict[str, Any]
 
@@ -347,10 +339,10 @@ def _read_motion(arrays: ClipArrays, tables: Tables) -> dict[str, str]:
     if shares[best] < MIN_EXPLAINED:
         found = f"no convention explains more than {format_share(shares[best])} of the change"
         return {"motion": f"unknown: {found}"}
-    if shares[best] - shares.get(_opposite(best), -math.inf) < MARGIN_OPPOSITE:
-        best = max(best, _opposite(best), key=lambda each: each.direction == TO_PREVIOUS)
-    _write_motion(best, tables["motion"])
-    other = next(each for each in shares if each not in (best, _opposite(best)))
+    if shares[best] - shares.get(best.opposite, -math.inf) < MARGIN_OPPOSITE:
+        best = max(best, best.opposite, key=lambda each: each.direction == TO_PREVIOUS)
+    best.write_to(tables["motion"])
+    other = next(each for each in shares if each not in (best, best.opposite))
     share, next_share = shares[best], shares[other]
     reasons.append(
         f"{_sureness(share - next_share)}: {best} explains {format_share(share)} of the change "
@@ -397,27 +389,6 @@ def _read_jitter(source: Path, tables: Tables) -> dict[str, str]:
         f"likely: motion differs by the change of this jitter from the reference, within {left:.0%}"
     )
     return {"motion": "likely: contains the jitter of [camera]", "camera": reason}
-
-
-def _opposite(convention: MotionConvention) -> MotionConvention:
-    """The negative in the other direction, which differs only by acceleration."""
-    x, y = convention.signs
-    (direction,) = set(DIRECTIONS) - {convention.direction}
-    return replace(convention, signs=(-x, -y), direction=direction)
-
-
-def _write_motion(best: MotionConvention, table: Tables) -> None:
-    """Write a convention as the keys of a layout."""
-    if best.swapped:
-        table["channels"] = table["channels"][::-1]
-    unit, scale = UNITS[best.scale]
-    to_previous = best.direction == TO_PREVIOUS
-    x, y = best.signs
-    table["unit"], table["y"] = unit, "down" if x == y else "up"
-    # the sign of x: along the direction that the words name, or against it
-    table["points"] = ("to" if x > 0 else "from") + (" previous" if to_previous else " next")
-    if scale != 1:
-        table["scale"] = scale
 
 
 def _read_handedness(arrays: ClipArrays, tables: Tables) -> dict[str, str]:

@@ -105,9 +105,9 @@ def make_sensor(pose: Pose, height: int, width: int) -> Any:
     """The same pinhole as a Mitsuba sensor, for the scalar variant."""
     import mitsuba as mi
 
-    camera, whole = pose.camera, pose.window or Window(height, width, 0, 0)
-    film = {"type": "hdrfilm", "height": whole.height, "width": whole.width}
-    crop = {"crop_offset_x": whole.left, "crop_offset_y": whole.top}
+    camera, window = pose.camera, pose.window or Window(height, width, 0, 0)
+    film = {"type": "hdrfilm", "height": window.height, "width": window.width}
+    crop = {"crop_offset_x": window.left, "crop_offset_y": window.top}
     film |= crop | {"crop_width": width, "crop_height": height, "rfilter": {"type": "box"}}
     pixels = {"pixel_format": "rgb", "component_format": "float32"}
     look_at = [[float(v) for v in p] for p in (camera.origin, camera.target, camera.up)]

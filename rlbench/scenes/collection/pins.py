@@ -173,16 +173,16 @@ def _split_main(place: str) -> tuple[str, str]:
     return place, ""
 
 
-def _choose_main(names: list[str], asked: str, place: str) -> str:
+def _choose_main(names: list[str], requested: str, place: str) -> str:
     """The file of the scene among the files of its folder."""
     top = [name for name in names if "/" not in name and Path(name).suffix.lower() in SUFFIXES]
-    choices = [asked] if asked else [SCENE_FILE, "scene.gltf", "scene.glb"]
-    found = [name for name in choices if name in top] or (top if not asked else [])
+    choices = [requested] if requested else [SCENE_FILE, "scene.gltf", "scene.glb"]
+    found = [name for name in choices if name in top] or (top if not requested else [])
     if len(found) == 1 or found[:1] == [SCENE_FILE]:
         return found[0]
     listed = f"it has {', '.join(top)}" if top else "it has no file that rlbench renders"
     hint = f". Name one: {place}/{top[0]}" if top else ""
-    raise SceneError(f"{place} has no {asked or SCENE_FILE}; {listed}{hint}")
+    raise SceneError(f"{place} has no {requested or SCENE_FILE}; {listed}{hint}")
 
 
 def _list_files(trees: str, commit: str, folder: str, place: str) -> Iterator[PinnedFile]:
