@@ -15,10 +15,10 @@ MIN_WEIGHT = 0.01  # total weight below which no tap counts (Falcor's SVGF pass)
 
 
 class SurfaceTaps(NamedTuple):
-    """For each pixel the four pixels of the last frame around its previous position."""
+    """For each pixel the pixels of the last frame around its previous position."""
 
-    pixels: Int[Tensor, "n 4 h w"]  # of a pixel in reading order; 0 where the tap is outside
-    weight: Float[Tensor, "n 4 h w"]  # sums to 1, or to 0 where no tap is on the surface
+    pixels: Int[Tensor, "n 4 h w"] | None  # in reading order, 0 outside; None: the pixel itself
+    weight: Float[Tensor, "n taps h w"]  # sums to 1, or to 0 where no tap is on the surface
 
     @property
     def valid(self) -> Bool[Tensor, "n 1 h w"]:
@@ -27,11 +27,11 @@ class SurfaceTaps(NamedTuple):
 
     def gather(self, history: Float[Tensor, "n c h w"]) -> Float[Tensor, "n c h w"]:
         """The history as seen from this frame: the weighted mean of the taps, or 0 without any."""
-        flat = history.flatten(2)
+        if self.pixels is None:
+            return history * self.weight
         total = torch.zeros_like(history)
-        for index, weight in zip(self.pixels.unbind(1), self.weight.unbind(1), strict=True):
-            tap = flat.gather(2, index.flatten(1)[:, None].expand_as(flat)).view_as(history)
-            total = torch.addcmul(total, tap, weight[:, None])
+        for pixel, weight in zip(self.pixels.unbind(1), self.weight.unbind(1), strict=True):
+            total = torch.addcmul(total, _read(history, pixel), weight[:, None])
         return total
 
 
@@ -55,39 +55,50 @@ def find_surface_taps(
     [0.5, 1.5, 2.0]
     """
     (depth, normal), (old_depth, old_normal) = now, before
-    n, _, h, w = depth.shape
+    h, w = depth.shape[2:]
+    old = torch.cat((old_depth, old_normal), 1)
+    if motion is None:
+        is_same = _is_same_surface(old, depth, normal, min_normal_cosine)
+        return SurfaceTaps(None, is_same.to(depth.dtype))
     x, y = (_previous_position(motion, depth, axis) for axis in (0, 1))
     left, top = x.floor(), y.floor()
     right_share, down_share = x - left, y - top
-    old = torch.cat((old_depth, old_normal), 1).flatten(2)
-    indices, weights = [], []
+    pixels, weights = [], []
     for down in (0, 1):
         for right in (0, 1):
             column, row = left + right, top + down
             inside = (column >= 0) & (column < w) & (row >= 0) & (row < h)
-            index = (row.clamp(0, h - 1) * w + column.clamp(0, w - 1)).long()
-            tap = old.gather(2, index.flatten(1)[:, None].expand(-1, 4, -1)).view(n, 4, h, w)
-            same_depth = (tap[:, :1] - depth).abs() <= MAX_DEPTH_DIFFERENCE * depth
-            same_normal = (tap[:, 1:] * normal).sum(1, keepdim=True) >= min_normal_cosine
+            pixel = (row.clamp(0, h - 1) * w + column.clamp(0, w - 1)).long()
+            is_same = _is_same_surface(_read(old, pixel), depth, normal, min_normal_cosine)
             bilinear = (right_share if right else 1 - right_share) * (
                 down_share if down else 1 - down_share
             )
-            counts = inside & same_depth[:, 0] & same_normal[:, 0]  # False for NaN
-            indices.append(index)
-            weights.append(torch.where(counts, bilinear, 0.0))
+            pixels.append(pixel)
+            weights.append(torch.where(inside & is_same[:, 0], bilinear, 0.0))
     weight = torch.stack(weights, 1)
     total = weight.sum(1, keepdim=True)
     weight = torch.where(total >= MIN_WEIGHT, weight / total.clamp_min(MIN_WEIGHT), 0.0)
-    return SurfaceTaps(torch.stack(indices, 1), weight)
+    return SurfaceTaps(torch.stack(pixels, 1), weight)
 
 
-def _previous_position(motion: Tensor | None, depth: Tensor, axis: int) -> Tensor:
+def _is_same_surface(tap: Tensor, depth: Tensor, normal: Tensor, min_cosine: float) -> Tensor:
+    """True where the depth and normal [n 4 h w] of a tap are those of a pixel; False for NaN."""
+    same_depth = (tap[:, :1] - depth).abs() <= MAX_DEPTH_DIFFERENCE * depth
+    return same_depth & ((tap[:, 1:] * normal).sum(1, keepdim=True) >= min_cosine)
+
+
+def _read(image: Tensor, pixel: Tensor) -> Tensor:
+    """The image [n c h w] at other pixels [n h w]."""
+    flat = image.flatten(2)
+    index = pixel.flatten(1)[:, None].expand(-1, image.shape[1], -1)
+    return flat.gather(2, index).view_as(image)
+
+
+def _previous_position(motion: Tensor, depth: Tensor, axis: int) -> Tensor:
     """Each pixel's x (axis 0) or y (axis 1) in the last frame; outside if it is not finite."""
     n, _, h, w = depth.shape
     pixels = torch.arange((w, h)[axis], device=depth.device, dtype=depth.dtype)
     current = (pixels if axis == 0 else pixels[:, None]).expand(n, h, w)
-    if motion is None:
-        return current
     outside = -4.0  # a position whose taps are all outside
     moved = (current + motion[:, axis]).nan_to_num(outside, outside, outside)
     return moved.clamp(outside, max(h, w) + 1.0)

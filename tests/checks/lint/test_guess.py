@@ -180,9 +180,8 @@ def test_a_dump_without_a_reference_has_a_layout_without_one(small, tmp_path):
         shutil.rmtree(tmp_path / f"reference{half}")
     (tmp_path / "engine.toml").write_text(format_guess(guess_layout(tmp_path)))
     layout = read_layout(str(tmp_path / "engine.toml"))
-    assert layout.reference.optional
-    assert "reference" not in layout.images
-    assert "radiance" in layout.images
+    assert layout.reference.files == ()
+    assert layout.radiance.files == "sample{sample}/Mogwai.PathTracer.color.{frame}.exr"
 
 
 def test_the_command_does_not_overwrite_a_layout(own, tmp_path):
