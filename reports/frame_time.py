@@ -120,7 +120,10 @@ def draw_frame_bars(times: pd.DataFrame, caption: str) -> Figure:
 
 def _draw_panel(axes: Axes, times: pd.DataFrame, methods: list[str]) -> None:
     rows = {row["method"]: row for row in times.to_dict("records")}
-    longest = float(times["frame_ms"].max()) or 1.0
+    ends = [
+        row["frame_high_ms" if uncertainty_of(row) > WIDE else "frame_ms"] for row in rows.values()
+    ]
+    longest = max(map(float, ends), default=0.0) or 1.0
     for position, method in enumerate(methods):
         if method not in rows:
             axes.text(0.01 * longest, position, "not measured", va="center", color=style.GREY,
@@ -138,10 +141,10 @@ def _draw_panel(axes: Axes, times: pd.DataFrame, methods: list[str]) -> None:
         if share > WIDE:
             high = float(str(row["frame_high_ms"]))
             axes.hlines(position, row["frame_low_ms"], high, color=style.BLACK, lw=1.2)
-            start = max(start, min(high, longest))
+            start = high
         text = f"{row['frame_ms']:.3g}{mark_uncertainty(share)}"
         axes.text(start + 0.012 * longest, position, text, va="center", fontsize=10)
-    axes.set_xlim(0, longest * 1.17)
+    axes.set_xlim(0, longest * 1.3)
     axes.set_ylim(len(methods) - 0.4, -0.6)
     axes.set_yticks(range(len(methods)), methods)
     axes.tick_params(axis="y", length=0)

@@ -19,7 +19,7 @@ from matplotlib.patches import Patch
 from matplotlib.ticker import FuncFormatter, LogLocator, MaxNLocator, NullFormatter
 
 from reports.analysis.rows import ReportError
-from reports.analysis.scores import Scores
+from reports.analysis.scores import ENDS, Scores
 from reports.layout import style
 from reports.layout.curve_labels import LABEL_DISTANCE, label_curves, label_width, longest_rise
 from reports.layout.page import Drawing, describe_clips, write_figures
@@ -234,11 +234,20 @@ def _add_panels(
 
 
 def _window(points: pd.DataFrame, direction: str) -> tuple[Range, Range]:
-    """The scores and times that a panel shows; of PSNR, from WINDOW_DB below the best on."""
+    """The scores and times that a panel shows; of PSNR, from WINDOW_DB below the best on.
+
+    Intervals of uncertain times are inside.
+    """
     low, high = points["value"].min(), points["value"].max()
     bottom = max(low, high - WINDOW_DB) if direction == "higher" else low
-    times = points[points["value"] >= bottom]["frame_ms"]
-    return (bottom, high), (times.min(), times.max())
+    shown = points[points["value"] >= bottom]
+    times = shown.assign(
+        **{
+            f"frame_{end}_ms": shown[f"frame_{end}_ms"].where(shown["uncertain"], shown["frame_ms"])
+            for end in ENDS
+        }
+    )
+    return (bottom, high), (times["frame_low_ms"].min(), times["frame_high_ms"].max())
 
 
 def _spans_decades(left: float, right: float) -> bool:

@@ -243,10 +243,10 @@ def uncertain_times(rows: pd.DataFrame) -> list[str]:
     Parts are inference and samples; a frame's time has their reasons.
     """
     marked = rows[rows["metric"].isin(REASONS) & rows["note"].str.startswith(UNCERTAIN)]
+    reasons = marked["note"].map(lambda note: note.removeprefix(UNCERTAIN).partition(" (")[0])
     lines = []
-    for (metric, note), group in marked.groupby(["metric", "note"]):
+    for (metric, reason), group in marked.groupby(["metric", reasons.str.strip()]):
         methods, scenes = (", ".join(sorted(set(group[name]))) for name in ("method", "scene"))
-        reason = str(note).removeprefix(UNCERTAIN).strip()
         lines.append(f"{metric} of {methods} on {scenes} at {_budgets(group)} spp: {reason}")
     return sorted(lines)
 
