@@ -95,7 +95,8 @@ def test_the_share_of_the_peak_is_work_over_time(table):
     ours = table[table.method == "ours"].iloc[0]
     our_rate = ours.multiply_adds * 1e3 * 48 * 64 / (ours.inference_ms / 1e3)
     assert oidn.peak_share / ours.peak_share == pytest.approx(rate / our_rate)
-    assert 0 < oidn.peak_share < 1.5  # of a matrix product measured at another moment
+    at_most_ms = oidn.inference_ms / oidn.inference_high_ms  # on a busy machine an estimate
+    assert 0 < oidn.peak_share * at_most_ms < 1.5  # of a matrix product at another moment
 
 
 def test_the_page_shows_every_size_and_how_uncertain_a_time_is(table):
