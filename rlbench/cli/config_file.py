@@ -87,6 +87,12 @@ def write(context: Any, file: Path) -> None:
     documents.write_toml(file, given)
 
 
+def is_typed(context: Any, name: str) -> bool:
+    """True if an option stands on the command line, not in the file alone."""
+    source = context.get_parameter_source(name)
+    return source is not None and source.name == "COMMANDLINE"
+
+
 def _as_toml(value: Any) -> Any:
     if isinstance(value, WeightsChoice):
         return f"{value.label}={value.file}" if value.label else value.file

@@ -153,7 +153,9 @@ def run(
     from rlbench.cli import console, json_output
     from rlbench.parallel.ray_executor import open_executor
 
-    if retime:
+    if retime:  # what the cells' own run wrote into its file says nothing of this one
+        scores_only &= config_file.is_typed(context, "scores_only")
+        keep_images &= config_file.is_typed(context, "keep_images")
         check_times_alone(scores_only, keep_images)
     warn_without_networks(names, bf16, chosen)
     with open_executor(engine, ray_address) as executor:

@@ -66,7 +66,7 @@ def test_times_are_measured_again_without_scores(run_mean, tmp_path):
 
 
 def test_uncertain_times_are_marked_and_can_be_measured_again(run_mean, tmp_path):
-    rlbench(*run_mean, "--spp", 1, "--repeats", 1)
+    rlbench(*run_mean, "--spp", 1, "--repeats", 1, "--keep-images")
     (cell,) = table.cells(tmp_path / "r")
     times = {"inference_ms": 10.0, "inference_low_ms": 8.0, "inference_high_ms": 12.5}
     rows = [
@@ -78,7 +78,7 @@ def test_uncertain_times_are_marked_and_can_be_measured_again(run_mean, tmp_path
         for row in table.read(tmp_path / "r").dropna(subset=["value"]).to_dict("records")
     ]
     table.write_cell(tmp_path / "r", cell, rows)
-    output = rlbench(*run_mean, "--spp", 1, "--repeats", 1)
+    output = rlbench(*run_mean, "--spp", 1, "--repeats", 1, "--keep-images")
     assert "│ 10.00 ±25 % │" in output
     assert "1 row has uncertain times, marked ±: busy" in output
     words = ("run", "--config", tmp_path / "r" / "run.toml", "--out", tmp_path / "r")
