@@ -240,10 +240,12 @@ def _window(points: pd.DataFrame, direction: str) -> tuple[Range, Range]:
     """
     low, high = points["value"].min(), points["value"].max()
     bottom = max(low, high - WINDOW_DB) if direction == "higher" else low
-    shown = points[points["value"] >= bottom]
-    times = shown.assign(
+    inside = points[points["value"] >= bottom]
+    times = inside.assign(
         **{
-            f"frame_{end}_ms": shown[f"frame_{end}_ms"].where(shown["uncertain"], shown["frame_ms"])
+            f"frame_{end}_ms": inside[f"frame_{end}_ms"].where(
+                inside["uncertain"], inside["frame_ms"]
+            )
             for end in ENDS
         }
     )
