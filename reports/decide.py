@@ -39,7 +39,6 @@ from reports.analysis.rows import (
     without_label,
 )
 from reports.analysis.scores import ENDS, INFERENCE, Scores
-from rlbench.benchmark.results import uncertainty
 
 NAMED = 6  # methods in a suggested command; more are all
 
@@ -97,9 +96,7 @@ class Decision:
     direction: str
     candidates: tuple[Candidate, ...]
     could_win: tuple[str, ...]  # other methods that win at other ends of the times' intervals
-    uncertainty: (
-        float  # of the times that this comes from, as a share; 0 where intervals are narrow
-    )
+    uncertainty: float  # of the times of the winner and of these, as a share
     undenoised: Candidate | None  # the best image without a denoiser, which cannot win
     changes: tuple[BreakEven, ...]
     scenes: tuple[str, ...]
@@ -268,17 +265,7 @@ def _find_doubts(
     possible = find_possible_winners(curves, np.array([sample_ms]), np.array([frame_ms]))[:, 0]
     involved = [c for c, may in zip(curves, possible, strict=True) if may or c.method == winner]
     others = tuple(curve.method for curve in involved if curve.method != winner)
-    doubts = [
-        uncertainty(*map(float, times))
-        for curve in involved
-        for times in zip(*_times_with_ends(curve, sample_ms), strict=True)
-    ]
-    return others, max(doubts, default=0.0)
-
-
-def _times_with_ends(curve: Curve, sample_ms: float) -> list[Numbers]:
-    """Frame times of the measured budgets, and the low and the high ends of their intervals."""
-    return [each.frame_ms(sample_ms) for each in (curve, *map(curve.at_end, ENDS))]
+    return others, max(curve.uncertainty(sample_ms) for curve in involved)
 
 
 def _break_evens(curves: Sequence[Curve], sample_ms: float, frame_ms: float) -> Iterator[BreakEven]:
@@ -320,7 +307,12 @@ def _nothing_fits(
     needed, low, method, spp = min(
         (float(time), float(low), curve.method, float(spp))
         for curve in curves
-        for spp, time, low, _ in zip(curve.spp, *_times_with_ends(curve, sample_ms), strict=True)
+        for spp, time, low in zip(
+            curve.spp,
+            curve.frame_ms(sample_ms),
+            curve.at_end("low").frame_ms(sample_ms),
+            strict=True,
+        )
     )
     doubt = f" (uncertain: {low:.3g} ms at least)" * (low < needed)
     raw = ""

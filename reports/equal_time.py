@@ -24,7 +24,6 @@ from reports.analysis.equal_time import (
     at_equal_error,
     crossovers,
     nice_deadlines,
-    time_doubt,
     with_half_the_samples,
 )
 from reports.analysis.rows import family_of
@@ -65,7 +64,7 @@ def _section(scores: Scores, base_name: str) -> Section | None:
     best = max(curves, key=lambda curve: curve.value_at(curve.spp).max())
     base, reference = by_name.get(base_name, best), by_name.get(REFERENCE)
     rivals = [curve for curve in curves if curve is not base]
-    doubts = {c.method: mark_uncertainty(time_doubt(c, sample_ms)) for c in curves}
+    doubts = {c.method: mark_uncertainty(c.uncertainty(sample_ms)) for c in curves}
     deadlines = nice_deadlines(curves, sample_ms)
     late_curves = curves_of(replace(scores, rows=with_misses(scores.rows)))
     compared = {
@@ -316,7 +315,7 @@ def _time_cell(row: Record, curve: Curve, sample_ms: float) -> str:
     ends = (f"{times[0]:.1f}", f"{times[-1]:.1f}")
     pairs = zip(SPP_COLUMNS, TIME_COLUMNS, strict=True)
     text = _with_ends(*(_bounded(row[spp], f"{row[ms]:.1f}", ends) for spp, ms in pairs))
-    return text + mark_uncertainty(time_doubt(curve, sample_ms))
+    return text + mark_uncertainty(curve.uncertainty(sample_ms))
 
 
 def _bounded(spp: float, text: str, ends: tuple[str, str]) -> str:

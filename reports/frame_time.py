@@ -17,13 +17,12 @@ from reports.analysis.scores import FRAME_PARTS, Scores, metrics_with_values
 from reports.layout import style
 from reports.layout.page import Drawing, describe_clips, write_figures
 from reports.layout.tables import uncertainty_of
-from rlbench.benchmark.results import WIDE, MissingRowsError, mark_uncertainty
+from rlbench.benchmark.results import WIDE, MissingRowsError, interval_columns, mark_uncertainty
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
 MAX_PANELS = 4
-FRAME_ENDS = ("", "low_", "high_")  # the time of a frame, and the ends of its interval
 PALE = 0.45  # opacity of the bars of uncertain times
 PARTS = {  # column: name and colour; the samplers warm, the denoiser blue, the renderer green, grey
     "gbuffer_ms": ("G-buffer", "#4D9221"),
@@ -62,7 +61,7 @@ def _figures(scores: Scores) -> dict[str, Drawing]:
 def frame_times(scores: Scores) -> pd.DataFrame:
     """The parts of a frame of each method and budget, mean over scenes; they add to `frame_ms`."""
     means = scores.overall
-    columns = ["method", "target_spp", *FRAME_PARTS, *(f"frame_{end}ms" for end in FRAME_ENDS)]
+    columns = ["method", "target_spp", *FRAME_PARTS, *interval_columns("frame")]
     return means.loc[means["frame_ms"].notna(), columns].reset_index(drop=True)
 
 

@@ -32,6 +32,7 @@ from reports.layout.tables import (
     format_number,
 )
 from reports.published import no_published_rows, published
+from rlbench.benchmark.results import interval_columns
 
 STRONG_DB = 2.0  # below the best of the paper; weaker rows are in order whatever the rest does
 BASE = "ours"  # the method that all others are compared with
@@ -110,9 +111,7 @@ def compare_with_paper(scores: Scores) -> pd.DataFrame:
                 "target_spp": spp,
                 "psnr": row["value"],
                 **difference_columns(scores.gap(method, BASE, spp) if is_compared else UNKNOWN),
-                **{
-                    f"inference_{end}ms": row[f"inference_{end}ms"] for end in ("", "low_", "high_")
-                },
+                **{column: row[column] for column in interval_columns("inference")},
                 "published_name": printed.name if printed else "",
                 "published_psnr": at_budget.psnr_db if at_budget else math.nan,
                 "published_ms": at_budget.inference_ms if at_budget else math.nan,

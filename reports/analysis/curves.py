@@ -15,7 +15,7 @@ import pandas as pd
 from numpy.typing import NDArray
 
 from reports.analysis.rows import GIVEN_GBUFFER, family_of
-from reports.analysis.scores import INFERENCE, Scores, mean_over_scenes
+from reports.analysis.scores import ENDS, INFERENCE, Scores, mean_over_scenes
 from rlbench.benchmark.results import WIDE, uncertainty
 
 Numbers = NDArray[np.float64]
@@ -37,9 +37,9 @@ class Curve:
     samples: Numbers  # [budgets], time of the drawn samples of a pixel, in path samples
     late_ms: Numbers  # [budgets], as fixed_ms, but p95
     low_ms: (
-        Numbers  # [budgets], low end of fixed_ms on a quiet machine; fixed_ms where it is narrow
+        Numbers  # [budgets], low end of the interval of fixed_ms, which it is where that is narrow
     )
-    high_ms: Numbers  # [budgets], high end
+    high_ms: Numbers  # [budgets], high end, likewise
     sign: int  # 1 where high scores are better, -1 where low ones are
     gbuffer_samples: float = 0.0  # time of the G-buffer, in path samples
     gbuffer_ms: float = 0.0  # in place of it, a time that does not depend on that of a sample
@@ -48,6 +48,11 @@ class Curve:
         """The curve with times at the `low` or `high` end of their intervals."""
         fixed = self.low_ms if end == "low" else self.high_ms
         return replace(self, fixed_ms=fixed, late_ms=self.late_ms + fixed - self.fixed_ms)
+
+    def uncertainty(self, sample_ms: float | Numbers) -> float:
+        """The largest `uncertainty` of the frame times, from that of inference."""
+        ends = (each.frame_ms(sample_ms).tolist() for each in (self, *map(self.at_end, ENDS)))
+        return max(uncertainty(*times) for times in zip(*ends, strict=True))
 
     @property
     def direction(self) -> str:
@@ -229,7 +234,7 @@ def find_possible_winners(
     high end of theirs. Where all intervals are narrow, that is the winner alone.
     """
     ends = []
-    for end in ("low", "high"):
+    for end in ENDS:
         at_end = [curve.at_end(end) for curve in curves]
         winners = find_winners(at_end, sample_ms, deadline_ms)
         values = curves[0].sign * winners.values

@@ -22,7 +22,7 @@ from reports.analysis.intervals import (
     smallest_resolvable,
 )
 from reports.analysis.scores import Scores, mean_over_scenes
-from rlbench.benchmark.results import WIDE, uncertainty
+from rlbench.benchmark.results import WIDE, interval_columns, uncertainty
 
 ALL_SCENES = "all"  # in the column `scene` of means over scenes
 TIE_DB = 0.1  # of PSNR; a smaller difference matters to nobody
@@ -190,7 +190,7 @@ def subtract_base(scores: Scores, base: str, methods: Sequence[str]) -> pd.DataF
 def _range_of_difference(times: pd.DataFrame, other: pd.DataFrame) -> float:
     """Half of the range of a difference of mean frame times; 0 where both intervals are narrow."""
     ends = [
-        [float(part[f"frame_{end}ms"].mean()) for end in ("", "low_", "high_")]
+        [float(part[column].mean()) for column in interval_columns("frame")]
         for part in (times, other)
     ]
     if all(uncertainty(*each) <= WIDE for each in ends):

@@ -25,7 +25,6 @@ from reports.analysis.differences import correct_by_holm, difference_columns
 from reports.analysis.intervals import UNKNOWN, interval_ends, interval_of
 from reports.analysis.rows import family_of
 from reports.analysis.scores import ENDS, Scores
-from rlbench.benchmark.results import uncertainty
 
 MAX_DEADLINES = 7
 SERIES = ((1, 1.5, 2, 3, 5, 7), (1, 2, 5), (1,))  # round times, the fewest where there are many
@@ -123,19 +122,13 @@ def at_equal_latency(scores: Scores, rows: Sequence[str], base_name: str) -> pd.
                     "deadline_ms": float(deadline),
                     "spp": spp,
                     "share": spp / base_spp,
-                    "uncertainty": max(time_doubt(curve, sample_ms), time_doubt(base, sample_ms)),
+                    "uncertainty": max(each.uncertainty(sample_ms) for each in (curve, base)),
                     "is_bound": not is_base and curve.frame_ms(sample_ms)[-1] < AT_MOST * deadline,
                     "value": float(units.mean()),
                     **difference_columns(gap),
                 }
             )
     return correct_by_holm(pd.DataFrame(records))
-
-
-def time_doubt(curve: Curve, sample_ms: float | Numbers) -> float:
-    """The largest uncertainty of a curve's frame times, from that of inference."""
-    ends = (each.frame_ms(sample_ms).tolist() for each in (curve, *map(curve.at_end, ENDS)))
-    return max(uncertainty(*times) for times in zip(*ends, strict=True))
 
 
 def with_half_the_samples(curves: Sequence[Curve], base: Curve, sample_ms: float) -> pd.DataFrame:

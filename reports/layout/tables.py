@@ -13,7 +13,7 @@ import pandas as pd
 from reports.analysis.differences import ALL_SCENES, LEADS, TRAILS, VERDICT_NOTE
 from reports.analysis.rows import methods_from_elsewhere, nearest_to_one
 from reports.analysis.scores import Scores
-from rlbench.benchmark.results import WIDE, mark_uncertainty, uncertainty
+from rlbench.benchmark.results import WIDE, interval_columns, mark_uncertainty, uncertainty
 
 Record = Mapping[Hashable, Any]
 Rows = tuple[tuple[str, ...], ...]
@@ -90,7 +90,7 @@ def format_number(value: float, number_format: str) -> str:
 
 def uncertainty_of(row: Record, part: str = "frame") -> float:
     """The `uncertainty` of a time of `Scores.points` or `Scores.overall`; 0 without an interval."""
-    return uncertainty(*(float(row[f"{part}_{end}ms"]) for end in ("", "low_", "high_")))
+    return uncertainty(*(float(row[column]) for column in interval_columns(part)))
 
 
 def format_ms(row: Record, part: str = "frame", decimals: int = 1) -> str:

@@ -59,6 +59,15 @@ def uncertainty(ms: float, low: float, high: float) -> float:
     return max(high / ms, ms / low if low > 0 else math.inf) - 1
 
 
+def interval_columns(part: str) -> tuple[str, str, str]:
+    """The metrics of a time, and of the ends of its interval.
+
+    >>> interval_columns("frame")
+    ('frame_ms', 'frame_low_ms', 'frame_high_ms')
+    """
+    return f"{part}_ms", f"{part}_low_ms", f"{part}_high_ms"
+
+
 def mark_uncertainty(share: float) -> str:
     """What stands after a time whose `uncertainty` is `share`; empty where it is narrow.
 

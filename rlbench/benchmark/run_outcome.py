@@ -21,7 +21,6 @@ if TYPE_CHECKING:
 
 HEADLINE = ("psnr", "psnr_debiased")
 TIMES = ("inference_ms", "frame_ms")
-ENDS = ("", "low_", "high_")  # a time, and the ends of its interval
 NONFINITE = "nonfinite"  # metric that counts pixels with a NaN or infinite channel
 MAX_NAMES = 3  # cells that a sentence names
 
@@ -88,7 +87,7 @@ def _score_rows(rows: pd.DataFrame) -> list[ScoreRow]:
             _number(means.get(name)) for name in (*HEADLINE, *TIMES)
         )
         doubts = [
-            results.uncertainty(*(means.get(f"{name}_{end}ms", math.nan) for end in ENDS))
+            results.uncertainty(*means.reindex(results.interval_columns(name)))
             for name in ("inference", "frame")
         ]
         scored = group.loc[(group["metric"] == "psnr") & group["value"].notna(), "clip"].nunique()

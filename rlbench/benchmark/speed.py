@@ -26,7 +26,7 @@ from rlbench import registry
 from rlbench.backends import EAGER
 from rlbench.benchmark.clock import SystemClock
 from rlbench.benchmark.latency import PARTS, REPEATS, TimedRow, Timing, device_name, time_methods
-from rlbench.benchmark.results import mark_uncertainty, uncertainty
+from rlbench.benchmark.results import interval_columns, mark_uncertainty, uncertainty
 from rlbench.benchmark.run_plan import build_method
 from rlbench.checks.tensors import iterate_parts, iterate_tensors
 from rlbench.clips.in_memory import InMemoryClip
@@ -247,8 +247,8 @@ def _lines(rows: pd.DataFrame) -> list[str]:
     table = [list(SHOWN.values()), ["---", *["---:"] * (len(SHOWN) - 1)]]
     for _, row in rows.iterrows():
         numbers = {name: _format(name, row[name]) for name in list(SHOWN)[1:]}
-        ends = (row[f"inference_{name}ms"] for name in ("", "low_", "high_"))
-        numbers["inference_ms"] += mark_uncertainty(uncertainty(*ends))
+        ends = uncertainty(*row[list(interval_columns("inference"))])
+        numbers["inference_ms"] += mark_uncertainty(ends)
         table.append([f"`{row['method']}`", *numbers.values()])
     noted = rows[rows["note"] != ""]
     notes = [f"`{row['method']}`: {row['note']}" for _, row in noted.iterrows()]

@@ -31,6 +31,7 @@ from rlbench.benchmark.results import (
     UNCERTAIN,
     WIDE,
     Row,
+    interval_columns,
     uncertainty,
 )
 from rlbench.benchmark.run_plan import Cell, CellLoader
@@ -323,10 +324,11 @@ def _with_interval(
     row: Row, name: str, ms: float, ends: Sequence[float], convention: str, note: str = ""
 ) -> Iterator[Row]:
     """The rows of a time and of the ends of its interval, which are given relative to it."""
-    yield with_value(row, f"{name}_ms", ms, convention, note)
+    time, *ends_of_it = interval_columns(name)
+    yield with_value(row, time, ms, convention, note)
     if math.isfinite(ms):
-        for word, end in zip(("low", "high"), ends, strict=True):
-            yield with_value(row, f"{name}_{word}_ms", end * ms, END.format(word))
+        for metric, word, end in zip(ends_of_it, ("low", "high"), ends, strict=True):
+            yield with_value(row, metric, end * ms, END.format(word))
 
 
 def failed_time_rows(template: Row, reason: str) -> list[Row]:
