@@ -10,7 +10,8 @@ from typing import ParamSpec, TypeVar
 
 __all__ = ["OptionError", "PluginError", "RlbenchError", "names_arguments"]
 
-P, T = ParamSpec("P"), TypeVar("T")
+P = ParamSpec("P")
+T = TypeVar("T")
 COMMAND = re.compile(
     r"(`[^`]*`|\brlbench [a-z](?:(?![.,;)](?:\s|$)).)*)"
 )  # that a message proposes

@@ -108,13 +108,13 @@ def score(
     read = partial(_read_images, data_range=data_range, layer=layer)
     images = read(image, "image")
     is_single = isinstance(image, str | Path) or not isinstance(image, list) and image.ndim < 4
-    others = {"counts": (counts, 1), "motion": (motion, 2)}
     pixels = _Pixels(
         images,
         *_read_halves(reference, images, read),
-        max_samples=max_samples,
-        static=static,
-        **{name: _read_buffer(name, *each, images) for name, each in others.items()},
+        max_samples,
+        static,
+        counts=_read_buffer("counts", counts, 1, images),
+        motion=_read_buffer("motion", motion, 2, images),
     )
     if mask is not None:
         pixels = pixels.select(_read_mask(mask, images))

@@ -17,7 +17,7 @@ import warnings
 from collections.abc import Collection, Iterable
 from numbers import Real
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal, TypeVar
+from typing import TYPE_CHECKING, Any, Literal
 
 import torch
 
@@ -44,7 +44,6 @@ if TYPE_CHECKING:
     import pandas as pd
 
 RESULTS = Path("results")
-T = TypeVar("T")
 _NUMBERS = "give numbers, {}: one, or a list such as [{}]"
 
 
@@ -324,10 +323,11 @@ def _is_number(value: object) -> bool:
     return isinstance(value, Real) and not isinstance(value, bool) and math.isfinite(value)
 
 
-def _as_list(values: T | Iterable[T]) -> list[Any]:
+def _as_list(values: Any) -> list[Any]:
     """One value or several as a list; a text is one value."""
-    is_one = isinstance(values, str) or not isinstance(values, Iterable)
-    return [values] if is_one else list(values)
+    return (
+        list(values) if isinstance(values, Iterable) and not isinstance(values, str) else [values]
+    )
 
 
 def check_precision(
