@@ -208,7 +208,7 @@ def _render_frames(
         else:
             save_frame(jobs[result.job.clip_index], result.job.frame, result.result())
     for clip, job in enumerate(jobs):
-        if not job.missing_frames:
+        if not (job.missing_frames or job.is_finished):  # a header of more frames stays
             write_header(job.folder, _make_header(job, renderer.open_clip_scene(clip)))
     return errors
 
