@@ -1,58 +1,52 @@
-"""Denoise the frames of a folder: mean images in, copies of their files out, in order, resumable.
+"""The frames of a shot in files: which they are, how one is read, and where its image goes.
 
-Layouts are those of `rlbench import`. Here the radiance of a layout is the mean of any number of
-samples, there is no reference, and the denoised radiance takes the place of the mean's channels in
-a copy of its file. Beside the copies, NAME.denoise.json says how they were made. A method's state
-is written every 8 frames; a killed command begins at the last state, and without a state from the
-first frame, so that its images are those of a command that was not killed.
+Layouts are those of `rlbench import`, or files are loose (`rlbench.denoise_loose`). Here the
+radiance of a layout is the mean of any number of samples, there is no reference, and the denoised
+radiance takes the place of the mean's channels in a copy of its file.
 """
 
 from __future__ import annotations
 
-import json
 import re
-from collections import Counter
-from collections.abc import Callable, Mapping
-from contextlib import suppress
-from dataclasses import dataclass, field, replace
-from hashlib import sha256
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, replace
+from functools import partial
+from itertools import takewhile
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import OpenEXR
 import torch
-from safetensors import SafetensorError, safe_open
-from safetensors.torch import save_file
 
 from rlbench.clips.exr import ExrHeaderError, replace_channels
-from rlbench.clips.importers.dump import find_dump_sequences, match_files
+from rlbench.clips.importers import limits
+from rlbench.clips.importers.dump import Clips, build_sequences, match_files
 from rlbench.clips.importers.dump_frame import FLIPS, image_channels
 from rlbench.clips.importers.formats import FORMATS
 from rlbench.clips.importers.image_files import find_channels
 from rlbench.clips.importers.layout import Layout, Reference, read_layout
-from rlbench.clips.importers.sequence import ImportedSequence, Pixels, SourceError
+from rlbench.clips.importers.sequence import ImportedSequence, Pixels, SourceError, select_frames
 from rlbench.clips.importers.sky import add_sky_motion
-from rlbench.denoise import (
-    DenoiseError,
-    NoisyFrame,
-    denoise_frame,
-    estimate_exposure,
-    read_leaves,
-    replace_leaves,
-)
+from rlbench.denoise import NoisyFrame
+from rlbench.denoise_loose import is_blender, match_loose_images, parse_loose_image
 from rlbench.frames import GBuffer
-from rlbench.method import Method, State
-from rlbench.system.documents import read_json
-from rlbench.system.folder_lock import locked_folder
-from rlbench.system.paths import atomic_write
 
-__all__ = ["DenoisingSummary", "NoisySequence", "denoise_sequence", "find_noisy_sequences"]
+__all__ = ["GapError", "NoMotionError", "NoisySequence", "find_noisy_sequences"]
 
-STATE_PERIOD = 8  # frames between two states on the disk
+WARM_UP = 16  # frames before a piece of a shot that fill the memory
+UNKNOWN_SPP = 8.0  # taken where neither the user nor the file says how many samples a pixel has
 SAMPLES_ATTRIBUTE = re.compile(r"cycles\..*\.samples")  # by Blender, for each view layer
 NO_MOTION = "no motion"  # the limitation of a sequence with motion of 0 in place of its own
 WIDTHS = range(1, 7)  # digits of samples per pixel in a file name
+
+
+class GapError(SourceError):
+    """Frames between others that are missing, and that a memory needs."""
+
+
+class NoMotionError(SourceError):
+    """A sequence without the motion that a memory needs."""
 
 
 @dataclass(frozen=True)
@@ -64,6 +58,9 @@ class NoisySequence:
     layout: Layout
     spp: float | None  # samples per pixel of every frame; None: as the files say
     is_static: bool = False  # nothing moves, whatever the files say
+    start: int = 0  # index of the first frame that is written; those before are for the memory
+    opening: ImportedSequence | None = None  # of the first frame of the whole shot
+    frames: tuple[int, int] | None = None  # the piece of the shot; None: all of it
 
     def __len__(self) -> int:
         """Number of frames."""
@@ -85,9 +82,23 @@ class NoisySequence:
             lines.append("motion of the sky is unknown, so the sky has no history")
         return lines
 
+    @property
+    def piece(self) -> str:
+        """What tells a piece of the shot from others in names of files; empty for the whole."""
+        return f".{self.frames[0]}-{self.frames[1]}" if self.frames else ""
+
+    def sources(self, index: int) -> tuple[Path, ...]:
+        """The files of a frame."""
+        return self.sequence.frame_files[index]
+
     def output(self, index: int, out: Path) -> Path:
         """The file of a denoised frame: the path of its mean, below another folder."""
         return out / self.sequence.radiance[index].relative_to(self.source)
+
+    def read_opening(self) -> torch.Tensor:
+        """The mean image [1 3 h w] of the first frame of the whole shot. Raises SourceError."""
+        sequence = self.opening or self.sequence
+        return _to_tensor(sequence.read(sequence.numbers[0], 1).pool[0])
 
     def read(self, index: int) -> NoisyFrame:
         """A frame; values that are not finite stay. Raises SourceError."""
@@ -99,15 +110,17 @@ class NoisySequence:
         )
 
     def read_spp(self, index: int) -> float:
-        """Samples per pixel of a frame. Raises SourceError where its file does not say them."""
-        if self.spp:
-            return self.spp
-        path = self.sequence.radiance[index]
-        for part in OpenEXR.File(str(path), header_only=True).parts:
+        """Samples per pixel of a frame: as given, as its file says, or else UNKNOWN_SPP."""
+        return self.spp or self.find_spp(index) or UNKNOWN_SPP
+
+    def find_spp(self, index: int) -> float | None:
+        """Samples per pixel as Blender writes them into a file, None where it does not say them."""
+        header_only = OpenEXR.File(str(self.sequence.radiance[index]), header_only=True)
+        for part in header_only.parts:
             for name, value in part.header.items():
                 if SAMPLES_ATTRIBUTE.fullmatch(name) and str(value).isdecimal():
                     return max(1.0, float(value))
-        raise SourceError(f"{path} does not say how many samples a pixel has; give --spp N")
+        return None
 
     def write(self, index: int, out: Path, image: torch.Tensor) -> Path:
         """Write a copy of a frame's file with this image [1 3 h w] in place of the mean."""
@@ -123,43 +136,116 @@ class NoisySequence:
 
 
 def find_noisy_sequences(
-    source: Path,
-    layout: str,
+    source: Path | str,
+    layout: str = "",
     *,
+    others: Mapping[str, Path | str] | None = None,
     spp: float | None = None,
     frames: tuple[int, int] | None = None,
+    warm_up: int = WARM_UP,
     layer: str = "",
     needs_motion: bool = True,
+    has_memory: bool = True,
     is_static: bool = False,
 ) -> list[NoisySequence]:
-    """The shots in a folder, or the one of a single file, sorted by name.
+    """The shots in a folder, or the one of loose images (`rlbench.denoise_loose`), sorted by name.
 
-    Without `needs_motion`, and where nothing moves, no motion is read. Raises SourceError for a
-    folder without a mean image in this layout, for several images of one frame, for a layout whose
-    radiance is not that of the file, and for motion that is needed and missing.
+    Loose are a single file, a pattern of files, and what `others` name, by albedo, normal, depth
+    or motion. Of a piece `frames` of a shot, a method with a memory also reads up to `warm_up`
+    frames before it; without a memory, frames may have gaps. Without `needs_motion`, and where
+    nothing moves, no motion is read.
+
+    Raises SourceError for files without a mean image in this layout, for several images of one
+    frame, for a layout whose radiance is not that of the file, GapError for frames between others
+    that are missing, and NoMotionError for motion that is needed and missing.
     """
     if layout in FORMATS:
         raise SourceError(f"layout '{layout}' holds samples in archives; denoise takes EXR files")
-    read = read_layout(layout)
-    _check_replaceable(read, layout)
-    folder = source if source.is_dir() else source.parent
-    has_motion = needs_motion and not is_static and source.is_dir()
-    read = replace(read, layer=layer or read.layer, motion=read.motion if has_motion else None)
-    read = read if source.is_dir() else _only_file(read, source)
-    means, spp = _as_means(read, source, spp)
-    found = [
-        add_sky_motion(each, means, folder) for each in find_dump_sequences(source, means, frames)
-    ]
-    if not found:
-        names = ", ".join(sorted(path.name for path in folder.iterdir())[:8]) or "nothing"
-        raise SourceError(
-            f"{source} holds no image of layout '{layout}': expected "
-            f"{' or '.join(means.radiance.patterns)}; it holds: {names}. rlbench lint --guess "
-            f"{folder} writes a layout"
-        )
-    for sequence in found:
+    given = read_layout(layout) if layout else None
+    if given:
+        _check_replaceable(given, layout)
+        given = replace(given, layer=layer or given.layer)
+    source = Path(source)
+    if source.is_dir() and not others and (given or _holds_blender(source, layer)):
+        folder, read = source, given or replace(read_layout("blender"), layer=layer)
+        means, spp = _as_means(read, source, spp)
+        clips: Clips = match_files(source, means)
+        if not any(
+            "radiance" in images for numbered in clips.values() for images in numbered.values()
+        ):
+            raise _no_radiance(source, layout or "blender", means)
+    else:
+        radiance = parse_loose_image(source)
+        images = {name: parse_loose_image(path) for name, path in (others or {}).items()}
+        folder = radiance.folder
+        read, clips = match_loose_images(radiance, images, given, layer)
+        means, _ = _as_means(read, folder, None)
+        needs_motion = needs_motion and not radiance.is_single
+    has_motion = needs_motion and not is_static
+    means = replace(means, motion=means.motion if has_motion else None)
+    select = partial(
+        select_piece, frames=frames, warm_up=warm_up * has_memory, has_gaps=not has_memory
+    )
+    shots = []
+    for sequence, opening in zip(
+        build_sequences(folder, clips, means, select),
+        build_sequences(folder, clips, means, lambda label, numbers: (min(numbers),)),
+        strict=True,
+    ):
         _check_sequence(sequence, has_motion)
-    return [NoisySequence(folder, each, means, spp, is_static) for each in found]
+        piece = add_sky_motion(sequence, means, folder)
+        start = sum(number < frames[0] for number in piece.numbers) if frames else 0
+        shots.append(NoisySequence(folder, piece, means, spp, is_static, start, opening, frames))
+    return shots
+
+
+def select_piece(
+    label: str,
+    numbers: Iterable[int],
+    *,
+    frames: tuple[int, int] | None,
+    warm_up: int,
+    has_gaps: bool,
+) -> tuple[int, ...]:
+    """The frames in a range, or all, and up to `warm_up` before it that have no gap between them.
+
+    Raises SourceError where there is none, GapError where one is missing that must not be.
+    """
+    existing = sorted(set(numbers))
+    first, end = frames or (existing[0], existing[-1] + 1)
+    inside = tuple(number for number in existing if first <= number < end)
+    if not inside:
+        raise SourceError(
+            f"{label} has no frame from {first} to {end - 1}; its frames are {existing[0]} to "
+            f"{existing[-1]}"
+        )
+    if has_gaps:
+        return inside
+    try:
+        chosen = select_frames(label, existing, frames)
+    except SourceError as error:
+        raise GapError(
+            f"{error}; or take a row without a memory, which needs no frames between: -m oidn"
+        ) from error
+    earlier = range(first - 1, first - 1 - warm_up, -1)
+    before = takewhile(lambda number: number in existing, earlier)
+    return (*reversed(tuple(before)), *chosen)
+
+
+def _holds_blender(folder: Path, layer: str) -> bool:
+    """Whether the first EXR file in a folder has the passes of Blender. Raises SourceError."""
+    files = (path for path in limits.list_files(folder) if path.suffix.lower() == ".exr")
+    first = next(files, None)
+    return first is not None and is_blender(first, layer)
+
+
+def _no_radiance(folder: Path, layout: str, means: Layout) -> SourceError:
+    names = ", ".join(sorted(path.name for path in folder.iterdir())[:8]) or "nothing"
+    return SourceError(
+        f"{folder} holds no image of layout '{layout}': expected "
+        f"{' or '.join(means.radiance.patterns)}; it holds: {names}. rlbench lint --guess "
+        f"{folder} writes a layout"
+    )
 
 
 def _as_means(layout: Layout, folder: Path, spp: float | None) -> tuple[Layout, float | None]:
@@ -194,17 +280,6 @@ def _with_spp(patterns: tuple[str, ...], spp: int) -> tuple[str, ...]:
     return tuple(p.replace("{spp}", str(spp).zfill(width)) for p in patterns for width in WIDTHS)
 
 
-def _only_file(layout: Layout, file: Path) -> Layout:
-    """The layout of one file, which holds the images that are in the radiance's files."""
-    shared: dict[str, Any] = {
-        name: replace(image, files=re.sub(r"[\[\]{}*]", "*", file.name))
-        for name, image in layout.images.items()
-        if set(image.patterns) & set(layout.radiance.patterns)
-    }
-    none: dict[str, Any] = dict.fromkeys((*layout.images, "camera"))
-    return replace(layout, **(none | shared))
-
-
 def _check_replaceable(layout: Layout, name: str) -> None:
     """Raise SourceError where the method's radiance is not what the file's channels hold."""
     radiance = layout.radiance
@@ -223,7 +298,7 @@ def _check_replaceable(layout: Layout, name: str) -> None:
 
 
 def _check_sequence(sequence: ImportedSequence, has_motion: bool) -> None:
-    """Raise SourceError for several images of one frame, or a sequence without its motion."""
+    """Raise SourceError for several images of one frame, NoMotionError for missing motion."""
     number, count = max(
         zip(sequence.numbers, sequence.counts, strict=True), key=lambda each: each[1]
     )
@@ -234,10 +309,11 @@ def _check_sequence(sequence: ImportedSequence, has_motion: bool) -> None:
         )
     if has_motion and NO_MOTION in sequence.limitations and len(sequence.numbers) > 1:
         notes = "; ".join(note for note in sequence.notes if "[motion]" in note)
-        raise SourceError(
+        raise NoMotionError(
             f"clip '{sequence.name}' has no motion vectors{notes and ': ' + notes}. Render them "
-            '(Blender: the pass Vector, without motion blur), set missing_motion = "flow" in the '
-            "layout, or say with --static that nothing moves"
+            "(Blender: the pass Vector, without motion blur), name their files with --motion, set "
+            'missing_motion = "flow" in a layout, say with --static that nothing moves, or take a '
+            "row without a memory: -m oidn"
         )
 
 
@@ -245,142 +321,3 @@ def _to_tensor(pixels: Pixels) -> torch.Tensor:
     """An image [h w c] as [1 c h w], float32."""
     image = torch.from_numpy(np.ascontiguousarray(pixels, np.float32))
     return image.movedim(-1, 0)[None].contiguous()
-
-
-@dataclass
-class DenoisingSummary:
-    """What happened to the frames of one shot."""
-
-    written: int = 0  # frames
-    kept: int = 0  # frames that were there
-    repairs: Counter[str] = field(default_factory=Counter)  # invalid pixels, by image
-
-    def count(self, repairs: Mapping[str, int]) -> None:
-        """Add a written frame."""
-        self.written += 1
-        self.repairs.update(repairs)
-
-
-def denoise_sequence(
-    noisy: NoisySequence,
-    method: Method,
-    label: str,
-    out: Path,
-    *,
-    exposure: float | None = None,
-    device: torch.device | str = "cpu",
-    on_frame: Callable[[], None] = lambda: None,
-) -> DenoisingSummary:
-    """Write the denoised frames that `out` lacks, or whose source is newer; one frame in memory.
-
-    `label` names the method and its weights. A method with a memory also writes all frames after
-    the first that it lacks. Calls `on_frame` once for each frame of the shot.
-
-    Raises DenoiseError where `out` holds frames of other settings, or is the source; SourceError
-    for files that cannot be read, FolderInUseError, and WriteError.
-    """
-    if out.resolve() == noisy.source.resolve():
-        raise DenoiseError(f"{out} holds the noisy frames, which are never replaced; give another")
-    with locked_folder(out):
-        settings = _claim(noisy, label, exposure, out)
-        unfinished = [i for i in range(len(noisy)) if not _is_finished(noisy, i, out)]
-        state_file = out / f"{noisy.name}.denoise-state.safetensors"
-        start, state = len(noisy), None
-        if unfinished and method.traits.temporal:
-            start, state = _restore(noisy, method, settings, unfinished[0], state_file, device)
-            unfinished = list(range(unfinished[0], len(noisy)))
-        summary = DenoisingSummary(kept=len(noisy) - len(unfinished))
-        for index in range(len(noisy)):
-            if index in unfinished or index >= start:
-                frame = noisy.read(index)
-                result = denoise_frame(method, frame, state, settings["exposure"], device)
-                state = result.state
-                if index in unfinished:
-                    noisy.write(index, out, result.image)
-                    summary.count(result.repairs)
-                if method.traits.temporal and not (index + 1) % STATE_PERIOD:
-                    _save(state, {"next": index + 1, **settings}, state_file)
-            on_frame()
-        state_file.unlink(missing_ok=True)
-        return summary
-
-
-def _claim(noisy: NoisySequence, label: str, exposure: float | None, out: Path) -> dict[str, Any]:
-    """The settings of this shot, written beside its frames. Raises DenoiseError for other ones."""
-    file = out / f"{noisy.name}.denoise.json"
-    before = read_json(file) if file.is_file() else {}
-    settings = {
-        "method": label,
-        "exposure": exposure or before.get("exposure") or estimate_exposure(noisy.read(0).mean),
-        "spp": noisy.spp or "as the files say",
-        "static": noisy.is_static,
-        "first frame": noisy.sequence.numbers[0],
-        "layout": sha256(noisy.sequence.convention.encode()).hexdigest()[:16],
-    }
-    if changed := [key for key in settings if before and before.get(key) != settings[key]]:
-        key = changed[0]
-        raise DenoiseError(
-            f"{out} holds frames of '{noisy.name}' with the {key} {before.get(key)!r}, now it is "
-            f"{settings[key]!r}; write to another --out, or remove {file.name} and the frames"
-        )
-    with atomic_write(file) as path:
-        path.write_text(json.dumps(settings, indent=1) + "\n")
-    return settings
-
-
-def _is_finished(noisy: NoisySequence, index: int, out: Path) -> bool:
-    """Whether a frame was written after its source was."""
-    target, source = noisy.output(index, out), noisy.sequence.radiance[index]
-    return target.is_file() and target.stat().st_mtime_ns >= source.stat().st_mtime_ns
-
-
-def _save(state: State, settings: Mapping[str, Any], file: Path) -> None:
-    """Write a state; one of parts that are unknown is not written."""
-    with suppress(TypeError):
-        leaves = dict(read_leaves(state))
-        tensors = {
-            path: leaf.cpu().clone(memory_format=torch.contiguous_format)
-            for path, leaf in leaves.items()
-            if isinstance(leaf, torch.Tensor)
-        }
-        numbers = {path: leaf for path, leaf in leaves.items() if path not in tensors}
-        words = {"numbers": json.dumps(numbers), "settings": json.dumps(settings)}
-        with atomic_write(file) as path:
-            save_file(tensors, path, words)
-
-
-def _restore(
-    noisy: NoisySequence,
-    method: Method,
-    settings: Mapping[str, Any],
-    first: int,
-    file: Path,
-    device: torch.device | str,
-) -> tuple[int, State]:
-    """The frame to begin with, `first` or one before it, and the state before that frame.
-
-    Without a state of these settings, or where the method's state has another structure now, that
-    is the first frame of the shot.
-    """
-    with suppress(OSError, SafetensorError, LookupError, ValueError):
-        with safe_open(file, "pt", str(device)) as stored:
-            words = stored.metadata()
-            before = json.loads(words["settings"])
-            start = before.pop("next")
-            if before != settings or not start <= first:
-                return 0, None
-            leaves = {name: stored.get_tensor(name) for name in stored.keys()}  # noqa: SIM118
-        frame = noisy.read(start - 1)
-        like = denoise_frame(method, frame, None, settings["exposure"], device).state
-        leaves |= json.loads(words["numbers"])
-        if all(_is_alike(leaf, leaves.get(path)) for path, leaf in read_leaves(like)):
-            return start, replace_leaves(like, leaves)
-    return 0, None
-
-
-def _is_alike(leaf: Any, other: Any) -> bool:
-    """Whether one leaf of a state can take the place of another."""
-    if not isinstance(leaf, torch.Tensor):
-        return type(leaf) is type(other)
-    is_tensor = isinstance(other, torch.Tensor)
-    return is_tensor and leaf.shape == other.shape and leaf.dtype == other.dtype
