@@ -97,7 +97,7 @@ def _format_training(card: ModelCard | None) -> str:
 def _list_scores(names: Sequence[str]) -> list[list[str]]:
     """PSNR of rows on `mini` and on `real`, without intervals; `-` where a row cannot run."""
     pages = {
-        "mini": _read_table("results/summary.md", "psnr [dB], mean over scenes"),
+        "mini": _read_table("results/summary.md", "PSNR [dB], mean over scenes"),
         "real": _read_table("results/real.md", "PSNR [dB], mean over scenes"),
     }
     head = ["row", *(f"{preset}: {spp}" for preset in pages for spp in BUDGETS)]

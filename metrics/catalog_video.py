@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any
 
 from metrics.metric import Comparison, Metric
 
 __all__ = [
     "AT_CAP",
+    "DRIFT",
     "EFFORT_ERROR",
     "EFFORT_NOISE",
     "FLICKER",
@@ -52,6 +54,30 @@ def _psnr_late(frame: Comparison) -> Tensor:
     return psnr(previous.display_image, frame.display_reference, previous.nonfinite_mask)
 
 
+def drift(scores: Sequence[float]) -> float:
+    """Mean of the last quarter of a clip's scores less that of the first quarter, in their unit.
+
+    A quarter has at least one frame. NaN where a frame in either has no score. A memory that
+    gathers errors has a drift below 0; one that warms up, above.
+
+    >>> drift([20.0, 24.0, 24.0, 24.0, 24.0, 23.0, 23.0, 23.0])
+    1.0
+    """
+    quarter = max(1, len(scores) // 4)
+    return (sum(scores[-quarter:]) - sum(scores[:quarter])) / quarter
+
+
+def _drift(frames: Sequence[Comparison]) -> float:
+    from metrics.psnr import psnr
+
+    return drift(
+        [
+            float(psnr(each.display_image, each.display_reference, each.nonfinite_mask)[0])
+            for each in frames
+        ]
+    )
+
+
 def _effort_error(frame: Comparison) -> Tensor:
     from metrics.effort import effort_error
 
@@ -82,6 +108,17 @@ PSNR_LATE = Metric(
     previous_frames=1,
     scores_previous=True,
     source="this project: what a missed deadline costs",
+)
+DRIFT = Metric(
+    "drift",
+    "dB",
+    "higher",
+    "PSNR of the last quarter of a clip's frames less that of the first; peak 1, clipped sRGB",
+    _drift,
+    scored_by_run=False,
+    whole_clip=True,
+    from_psnr=drift,
+    source="this project: does the memory gather errors?",
 )
 WARPED_ERROR = Metric(
     "warped_error",

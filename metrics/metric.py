@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any, ClassVar
@@ -54,6 +54,8 @@ class Metric:
     requires: tuple[str, ...] = ()  # Python distributions; a new version invalidates old scores
     scored_by_run: bool = True  # False: slow, or of an optional package; for `rlbench evaluate`
     whole_clip: bool = False  # scores a list of all frames; only where `scored_by_run` is False
+    # the same score from the PSNR of all frames: a run adds it to the rows of methods with a memory
+    from_psnr: Callable[[Sequence[float]], float] | None = None
     needs: tuple[str, ...] = ()  # counts, max_samples, motion: no score of a frame that lacks one
     takes_convention: bool = False  # `score` takes `convention=`, of metrics.conventions
     source: str = ""  # author and year of the definition

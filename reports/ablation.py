@@ -26,10 +26,10 @@ from reports.analysis.rows import (
 from reports.analysis.scores import Scores
 from reports.layout.page import Section, write_page
 from reports.layout.tables import (
-    UNRELIABLE_MEANING,
+    UNCERTAIN_MEANING,
+    Record,
     Table,
     format_difference,
-    format_ms,
     pivot,
     rank_rows,
 )
@@ -159,7 +159,7 @@ def _time_table(scores: Scores, records: pd.DataFrame, base: str) -> Table | Non
         return None
     header, rows = pivot(
         records,
-        lambda row: format_ms(row["frame_ms"], row["unreliable"], sign="+"),
+        _format_time_difference,
         rank_rows(records, "frame_ms", "lower"),
         "variant",
     )
@@ -167,9 +167,17 @@ def _time_table(scores: Scores, records: pd.DataFrame, base: str) -> Table | Non
         "Frame time in ms (G-buffer + plan + allocate + sampling + denoise) minus that of "
         f"{base}, mean over scenes, on {scores.device_name}. Networks are timed on one clip of "
         "each size, in interleaved rounds. Cost of a sample: "
-        f"{scores.cost_source or 'not measured'}. {UNRELIABLE_MEANING}."
+        f"{scores.cost_source or 'not measured'}. {UNCERTAIN_MEANING}."
     )
     return Table(f"Frame time minus that of {base}", caption, header, rows)
+
+
+def _format_time_difference(row: Record) -> str:
+    """The difference of two frame times, with half of its range where an interval is wide."""
+    if pd.isna(row["frame_ms"]):
+        return "-"
+    mark = f" ±{row['frame_range_ms']:.1f}" * bool(row["frame_range_ms"] > 0)
+    return f"{row['frame_ms']:+.1f}{mark}"
 
 
 def _config_table(scores: Scores, records: pd.DataFrame, base: str) -> Table:
@@ -224,6 +232,6 @@ def _lists(
             if family_of(p.row) == family != p.row and p.row not in set(records["method"])
         ],
         "Not run": scores.skip_reasons,
-        "Unreliable times": scores.unreliable_times,
+        "Uncertain times": scores.uncertain_times,
         "Remarks": scores.remarks,
     }

@@ -16,18 +16,15 @@ from numpy.typing import NDArray
 from scipy import stats
 
 from reports.analysis.differences import (
-    HOLM_MARK,
-    LEADS,
     TIE_DB,
-    TRAILS,
     VERDICT_NOTE,
     describe_difference,
     holm,
+    holm_mark,
     name_verdict,
 )
 from reports.analysis.intervals import (
     FRAME,
-    LEVEL,
     POWER,
     Interval,
     mean_with_interval,
@@ -85,17 +82,19 @@ def compare(
 ) -> Comparison:
     """Compare two methods of the results at every budget that both have.
 
-    Scores are paired by scene, clip, frame and seed of the sample order. `device` names the device
-    where the results have several. Raises ReportError if a method, a metric or a pair is missing,
-    or if rows cannot be compared.
+    Scores are paired by scene, clip, frame and seed of the sample order. They need no device:
+    `device` names one where a method has scores of several. Raises ReportError if a method, a
+    metric or a pair is missing, or if rows cannot be compared.
     """
-    results = results[results["method"].isin([first, second])]
+    results = results[results["method"].isin([first, second]) & (results["unit"] != "ms")]
     if results["method"].nunique() < 2:
         found = ", ".join(sorted(set(results["method"]))) or "neither"
         raise ReportError(
             f"a comparison of {first} and {second} was requested, and the results have {found}; "
             "name two different rows, or measure them with rlbench run"
         )
+    if not device and (results.groupby("method")["device"].nunique() == 1).all():
+        results = results.assign(device="; ".join(sorted(set(results["device"]))))
     rows, device = select_device(results, device)
     check_comparable(rows)
     scores = Scores(rows, metric, device)
@@ -214,8 +213,7 @@ def _budget_lines(budget: BudgetComparison, comparison: Comparison) -> Iterator[
     unit = comparison.unit
     digits = ".2f" if unit == "dB" else ".3g"
     sentence = describe_difference(budget.difference, unit, comparison.direction)
-    is_lead = budget.verdict in (LEADS, TRAILS)
-    mark = HOLM_MARK * (is_lead and budget.p_holm > 1 - LEVEL)
+    mark = holm_mark(budget.verdict, budget.p_holm)
     yield (
         f"{budget.target_spp:g} spp: {comparison.first} {sentence}{mark} "
         f"({budget.first:{digits}} against {budget.second:{digits}})"
@@ -240,7 +238,7 @@ def _reading(comparison: Comparison) -> Iterator[str]:
         f"over the frames of a clip, the clips of a scene, and scenes. {VERDICT_NOTE}"
     )
     yield (
-        f"The correction is for {_count(len(comparison.budgets), 'budget')}. Resolvable: the "
+        f"These are {_count(len(comparison.budgets), 'difference')}. Resolvable: the "
         f"smallest difference that these clips resolve with power {100 * POWER:.0f} %."
     )
     yield from comparison.notes

@@ -6,7 +6,7 @@ The command `rlbench decide` prints it as `reports.decision_text` words it.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence, Set
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -19,6 +19,7 @@ from reports.analysis.curves import (
     Numbers,
     curves_of,
     denoisers,
+    find_possible_winners,
     find_switches,
     find_winners,
     measured_sample_ms,
@@ -32,11 +33,12 @@ from reports.analysis.rows import (
     ReportError,
     charge_gbuffer,
     check_comparable,
+    methods_from_elsewhere,
     remarks,
     select_device,
     without_label,
 )
-from reports.analysis.scores import INFERENCE, Scores
+from reports.analysis.scores import ENDS, INFERENCE, Scores
 
 NAMED = 6  # methods in a suggested command; more are all
 
@@ -64,7 +66,9 @@ class Candidate:
     inference_ms: float  # plan + allocate + denoise, mean of the middle half
     sampling_ms: float
     is_largest_budget: bool  # more time would buy nothing that was measured
-    is_unreliable: bool  # does the clock reject a time of the method?
+    low_ms: float  # ends of the interval of frame_ms, from that of inference alone
+    high_ms: float
+    is_claimed: bool  # its images and time were made elsewhere
     difference: Interval  # to the winner, paired by scene; of the winner: nan
     verdict: str  # tie, not resolved, leads or trails; empty: no interval
     p_holm: float = math.nan  # of the difference, corrected for all candidates
@@ -91,6 +95,8 @@ class Decision:
     convention: str
     direction: str
     candidates: tuple[Candidate, ...]
+    could_win: tuple[str, ...]  # other methods that win at other ends of the times' intervals
+    uncertainty: float  # of the times of the winner and of these, as a share
     undenoised: Candidate | None  # the best image without a denoiser, which cannot win
     changes: tuple[BreakEven, ...]
     scenes: tuple[str, ...]
@@ -109,7 +115,7 @@ def decide(
     metric: str = "psnr",
     device: str = "",
     left_out: Sequence[str] = (),
-    allow_unreliable: bool = False,
+    strict: bool = False,
     gbuffer_ms: float | None = None,
     given: GivenTimes | None = None,
     plugins: str = "",
@@ -120,15 +126,16 @@ def decide(
     plan + allocate + denoise (from the results, or `given`) + samples x `sample_ms`, mean over
     scenes. The G-buffer takes as many samples as in the results, or `gbuffer_ms`. `device` names
     the device whose times are used, where the results have several. `left_out` are sentences about
-    rows that were not considered; `plugins` are options that suggested commands need. Budgets with
-    unreliable times are left out, or marked with `allow_unreliable`. Raises ReportError if no
-    method fits or has times, if all times are unreliable, or if rows cannot be compared.
+    rows that were not considered; `plugins` are options that suggested commands need. Times of
+    inference have intervals, which say what else the answer could be. Raises ReportError if no
+    method fits or has times, or if rows cannot be compared; `strict`: also if the times leave the
+    answer open.
     """
     rows, device = select_device(charge_gbuffer(results, gbuffer_ms), device)
     check_comparable(rows)
     scores = Scores(rows, metric, device)
     check_ranks(scores)
-    curves = curves_of(scores, allow_unreliable or given is not None)
+    curves = curves_of(scores)
     if given:
         times = given.inference_ms
         unknown = [curve.method for curve in curves if curve.method not in times]
@@ -139,29 +146,29 @@ def decide(
                 f"the cost profile has times of {', '.join(times) or 'no method'}, and the results "
                 f"have {', '.join(unknown)}; time these with rlbench speed --as-cost"
             )
-    if not curves and curves_of(scores):
-        raise ReportError(
-            f"all times are unreliable: {scores.unreliable_times[0]}. Measure them again on a "
-            "quiet machine: rlbench run --retime; or see the answer marked: --allow-unreliable"
-        )
     if not curves:
         raise ReportError(
             f"no method has {metric} and times on every scene; found: "
             f"{'; '.join(methods_without_curve(scores, []))}. Measure with rlbench run"
         )
     source = given.device if given else _timed_on(rows) or device
-    doubted = set(scores.points["method"][scores.points["unreliable"]])
+    claimed = set(methods_from_elsewhere(rows))
     competing, unit = denoisers(curves), scores.column_text("unit")
-    ranked = _candidates(competing, sample_ms, frame_ms, unit)
+    ranked = _candidates(competing, sample_ms, frame_ms, unit, claimed)
     others = [curve for curve in curves if curve not in competing]
-    undenoised = next(iter(_candidates(others, sample_ms, frame_ms, unit)), None)
-    if allow_unreliable and not given:
-        ranked = tuple(replace(c, is_unreliable=c.method in doubted) for c in ranked)
+    undenoised = next(iter(_candidates(others, sample_ms, frame_ms, unit, claimed)), None)
     timed = rows[rows["metric"].isin(INFERENCE) & rows["method"].isin([c.method for c in curves])]
     sizes = (given.size,) if given else tuple(sorted(set(timed["size"]) - {""}))
     if not ranked:
         where = f"{source or 'an unnamed device'} at {', '.join(sizes) or 'an unnamed size'}"
         raise _nothing_fits(competing, sample_ms, frame_ms, where, undenoised, unit, plugins)
+    inference = [line for line in scores.uncertain_times if line.startswith("inference_ms")]
+    could_win, doubt = _find_doubts(competing, ranked[0].method, sample_ms, frame_ms)
+    if strict and could_win:
+        raise ReportError(
+            f"--strict: times are too uncertain to name a winner: {'; '.join(inference)}. Measure "
+            "them again when the machine is quiet: rlbench run --retime uncertain"
+        )
     return Decision(
         sample_ms=sample_ms,
         frame_ms=frame_ms,
@@ -170,6 +177,8 @@ def decide(
         convention=scores.convention,
         direction=scores.direction,
         candidates=ranked,
+        could_win=could_win,
+        uncertainty=doubt,
         undenoised=undenoised,
         changes=tuple(_break_evens(competing, sample_ms, frame_ms)),
         scenes=tuple(sorted(set(scores.scene_means["scene"]))),
@@ -181,7 +190,7 @@ def decide(
         notes=(
             *left_out,
             *methods_without_curve(scores, curves),
-            *(f"unreliable: {line}" for line in scores.unreliable_times if not given),
+            *(f"uncertain: {line}" for line in inference if not given),
             *([] if given else remarks(timed)),
         ),
     )
@@ -207,16 +216,17 @@ def check_ranks(scores: Scores) -> None:
 
 def _retime(curve: Curve, inference_ms: float) -> Curve:
     times = np.full_like(curve.fixed_ms, inference_ms)
-    return replace(curve, fixed_ms=times, late_ms=times)
+    return replace(curve, fixed_ms=times, late_ms=times, low_ms=times, high_ms=times)
 
 
 def _candidates(
-    curves: Sequence[Curve], sample_ms: float, frame_ms: float, unit: str
+    curves: Sequence[Curve], sample_ms: float, frame_ms: float, unit: str, claimed: Set[str]
 ) -> tuple[Candidate, ...]:
     """Every method that fits the deadline, the best first; empty if none does."""
     if not curves:
         return ()
-    winners = find_winners(curves, np.array([sample_ms]), np.array([frame_ms]))
+    at = np.array([sample_ms]), np.array([frame_ms])
+    winners = find_winners(curves, *at)
     spp = winners.spp[:, 0]
     ranked = [int(index) for index in winners.order[:, 0] if not math.isnan(spp[index])]
     best = [curves[index].units_at(spp[index]) for index in ranked[:1]]
@@ -225,6 +235,7 @@ def _candidates(
         curve, units = curves[index], curves[index].units_at(spp[index])
         gap = UNKNOWN if index == ranked[0] else interval_of(units - best[0])
         frame = float(curve.frame_ms_at(spp[index], sample_ms))
+        low, high = (float(curve.at_end(e).frame_ms_at(spp[index], sample_ms)) for e in ENDS)
         sampling = float(np.interp(spp[index], curve.spp, curve.samples)) * sample_ms
         found.append(
             Candidate(
@@ -236,13 +247,25 @@ def _candidates(
                 inference_ms=frame - gbuffer - sampling,
                 sampling_ms=sampling,
                 is_largest_budget=bool(spp[index] == curve.spp[-1]),
-                is_unreliable=False,
+                low_ms=low,
+                high_ms=high,
+                is_claimed=curve.method in claimed,
                 difference=gap,
                 verdict=name_verdict(gap, unit, curve.direction),
             )
         )
     p_holm = holm([candidate.difference.p_value for candidate in found])
     return tuple(replace(c, p_holm=float(p)) for c, p in zip(found, p_holm, strict=True))
+
+
+def _find_doubts(
+    curves: Sequence[Curve], winner: str, sample_ms: float, frame_ms: float
+) -> tuple[tuple[str, ...], float]:
+    """The other methods that could win, and the largest uncertainty of their and its times."""
+    possible = find_possible_winners(curves, np.array([sample_ms]), np.array([frame_ms]))[:, 0]
+    involved = [c for c, may in zip(curves, possible, strict=True) if may or c.method == winner]
+    others = tuple(curve.method for curve in involved if curve.method != winner)
+    return others, max(curve.uncertainty(sample_ms) for curve in involved)
 
 
 def _break_evens(curves: Sequence[Curve], sample_ms: float, frame_ms: float) -> Iterator[BreakEven]:
@@ -281,11 +304,17 @@ def _nothing_fits(
     plugins: str,
 ) -> ReportError:
     """What did not fit, what the times are of, and how to get times of another device."""
-    needed, method, spp = min(
-        (float(time), curve.method, float(spp))
+    needed, low, method, spp = min(
+        (float(time), float(low), curve.method, float(spp))
         for curve in curves
-        for spp, time in zip(curve.spp, curve.frame_ms(sample_ms), strict=True)
+        for spp, time, low in zip(
+            curve.spp,
+            curve.frame_ms(sample_ms),
+            curve.at_end("low").frame_ms(sample_ms),
+            strict=True,
+        )
     )
+    doubt = f" (uncertain: {low:.3g} ms at least)" * (low < needed)
     raw = ""
     if undenoised:
         score = f"{undenoised.value.mean:.4g} {unit}".rstrip()
@@ -293,9 +322,9 @@ def _nothing_fits(
     names = sorted({without_label(curve.method) for curve in curves})
     named = "all" if len(names) > NAMED else ",".join(names)
     return ReportError(
-        f"no denoiser that was timed here fits {frame_ms:g} ms at {sample_ms:g} ms a sample; these "
-        f"are times of {where}. The cheapest, {method} at {spp:g} spp, needs {needed:.3g} ms."
+        f"no denoiser with a time fits {frame_ms:g} ms at {sample_ms:g} ms a sample; these are "
+        f"times of {where}. The cheapest, {method} at {spp:g} spp, needs {needed:.3g} ms{doubt}."
         f"{raw} For times of your device and size, run there: rlbench speed -m {named}{plugins} "
         f"--device cuda --sizes 1080p --as-cost gpu.toml --sample-ms {sample_ms:g}; then decide "
-        f"with --cost gpu.toml. Or raise --frame-ms"
+        "with --cost gpu.toml. Or raise --frame-ms"
     )

@@ -2,20 +2,20 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 
 from reports.analysis.differences import (
-    HOLM_MARK,
-    LEADS,
-    TRAILS,
     VERDICT_NOTE,
     describe_difference,
+    holm_mark,
 )
-from reports.analysis.intervals import LEVEL, Interval
+from reports.analysis.intervals import Interval
 from reports.decide import BreakEven, Candidate, Decision
-from reports.layout.tables import UNRELIABLE_MARK, score_name
+from reports.layout.tables import CLAIMED_MARK, score_name
+from rlbench.benchmark.results import mark_uncertainty, uncertainty
 
 LISTED = 8  # methods in the table
+NAMED = 4  # methods that a sentence names
 INPUTS = {"sample_ms": "a sample costs", "frame_ms": "the deadline is"}
 NEAR = 1.2  # factor between two costs of a sample that may be of one device and size
 
@@ -66,9 +66,14 @@ def _answer(decision: Decision, next_run: str) -> Iterator[str]:
         f"{_number(best.value.mean, decision)} {decision.unit}".rstrip()
         + f" {_ends(best.value, decision)} over "
         f"{len(decision.scenes)} scene{'s' * (len(decision.scenes) != 1)}, in {best.frame_ms:.3g} "
-        f"of {decision.frame_ms:g} ms{_doubt(best)} ({best.gbuffer_ms:.3g} G-buffer + "
+        f"of {decision.frame_ms:g} ms ({best.gbuffer_ms:.3g} G-buffer + "
         f"{best.inference_ms:.3g} inference + {best.sampling_ms:.3g} sampling)."
     )
+    if decision.could_win:
+        yield (
+            f"Times here are uncertain by {100 * decision.uncertainty:.0f} %: "
+            f"{_join(decision.could_win)} could take its place."
+        )
     if best.is_largest_budget:
         measure = f" Measure it: {next_run}" * bool(next_run)
         yield f"{best.spp:g} spp is its largest measured budget: more may fit.{measure}"
@@ -82,7 +87,7 @@ def _answer(decision: Decision, next_run: str) -> Iterator[str]:
         yield "No other method fits."
         return
     gap = describe_difference(others[0].difference, decision.unit, decision.direction)
-    mark = _mark(others[0])
+    mark = holm_mark(others[0].verdict, others[0].p_holm)
     yield f"Runner-up: {others[0].method} at {others[0].spp:.3g} spp: {gap}{mark}."
 
 
@@ -95,21 +100,23 @@ def _table(decision: Decision) -> Iterator[tuple[str, ...]]:
         yield (
             row.method,
             f"{row.spp:.3g}",
-            f"{row.frame_ms:.3g}{_doubt(row)}",
+            f"{row.frame_ms:.3g}{_mark_time(row)}",
             _number(row.value.mean, decision),
             "" if row is decision.candidates[0] else difference,
-            row.verdict + _mark(row),
+            row.verdict + holm_mark(row.verdict, row.p_holm),
         )
 
 
-def _doubt(row: Candidate) -> str:
-    """The mark of a time that the clock rejects."""
-    return UNRELIABLE_MARK * row.is_unreliable
+def _mark_time(row: Candidate) -> str:
+    """The uncertainty of a frame time, and the mark of one that is claimed."""
+    share = uncertainty(row.frame_ms, row.low_ms, row.high_ms)
+    return mark_uncertainty(share) + CLAIMED_MARK * row.is_claimed
 
 
-def _mark(row: Candidate) -> str:
-    """The mark of a lead that Holm's correction takes away."""
-    return HOLM_MARK * (row.verdict in (LEADS, TRAILS) and row.p_holm > 1 - LEVEL)
+def _join(names: Sequence[str]) -> str:
+    """The first names of a list, and how many more there are."""
+    more = f" and {len(names) - NAMED} more" * (len(names) > NAMED)
+    return f"{', '.join(names[:NAMED])}{more}"
 
 
 def _change(change: BreakEven, decision: Decision) -> str:
@@ -130,9 +137,11 @@ def _basis(decision: Decision) -> Iterator[str]:
     )
     yield (
         f"{_metric(decision)}: {decision.convention}; between measured budgets linear in log spp. "
-        f"Differences are paired by scene. {VERDICT_NOTE} It is for all "
-        "methods that fit."
+        f"Differences are paired by scene. {VERDICT_NOTE} Here "
+        "these are the methods that fit."
     )
+    if any(row.is_claimed for row in decision.candidates[:LISTED]):
+        yield f"{CLAIMED_MARK}: images made elsewhere; budget and time are claimed."
     yield from decision.notes
 
 

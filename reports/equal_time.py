@@ -31,6 +31,7 @@ from reports.analysis.scores import Scores, with_misses
 from reports.layout.page import Section, write_report
 from reports.layout.tables import Bold, Record, Table, format_difference, pivot
 from reports.published import published
+from rlbench.benchmark.results import mark_uncertainty
 
 LEVELS = 5  # whole dB in the table of times to a given PSNR
 REFERENCE = "mean"  # whose spp measure the others: no denoiser
@@ -63,6 +64,7 @@ def _section(scores: Scores, base_name: str) -> Section | None:
     best = max(curves, key=lambda curve: curve.value_at(curve.spp).max())
     base, reference = by_name.get(base_name, best), by_name.get(REFERENCE)
     rivals = [curve for curve in curves if curve is not base]
+    doubts = {c.method: mark_uncertainty(c.uncertainty(sample_ms)) for c in curves}
     deadlines = nice_deadlines(curves, sample_ms)
     late_curves = curves_of(replace(scores, rows=with_misses(scores.rows)))
     compared = {
@@ -78,7 +80,7 @@ def _section(scores: Scores, base_name: str) -> Section | None:
         "crossover": crossovers(curves, sample_ms),
     }
     tables = [
-        _half_table(parts["half the samples"], base),
+        _half_table(parts["half the samples"], base, doubts),
         _deadline_table(parts["equal time"], scores, sample_ms, late=False),
         _deadline_table(parts["deadline"], scores, sample_ms, late=True),
         *_error_tables(parts["equal error"], base, sample_ms, by_name),
@@ -90,6 +92,7 @@ def _section(scores: Scores, base_name: str) -> Section | None:
     lists = {
         "Differences": difference_notes(differences),
         "Without a curve": methods_without_curve(scores, curves),
+        "Uncertain times": scores.uncertain_times,
         "Left out of the means": scores.incomplete_groups,
         "Not run": scores.skip_reasons,
         "Remarks": scores.remarks,
@@ -119,15 +122,15 @@ def _effective_spp(curves: list[Curve], reference: Curve | None, sample_ms: floa
     return pd.concat(parts) if parts else pd.DataFrame()
 
 
-def _half_table(records: pd.DataFrame, base: Curve) -> Table:
+def _half_table(records: pd.DataFrame, base: Curve, doubts: Mapping[str, str]) -> Table:
     """`base` against the best rival with twice its samples, and the row that the paper prints."""
     rows: list[tuple[str, ...]] = [
         (
             f"{row['method']} at {row['spp']:g} spp",
             f"{row['rival']} at {row['rival_spp']:g} spp",
             format_difference(row),
-            f"{row['frame_ms']:.1f}",
-            f"{row['rival_ms']:.1f}",
+            f"{row['frame_ms']:.1f}{doubts[row['method']]}",
+            f"{row['rival_ms']:.1f}{doubts[row['rival']]}",
             f"{row['speedup']:.2f}",
         )
         for row in records.to_dict("records")
@@ -169,7 +172,7 @@ def _deadline_table(records: pd.DataFrame, scores: Scores, sample_ms: float, lat
     """The score of each method within each deadline; `late`: that 95 % of its frames meet."""
 
     def cell(row: Record) -> str:
-        text = f"{row['value']:.2f}"
+        text = f"{row['value']:.2f}{_time_doubt(row['value_range'])}"
         return Bold(text) if row["best"] else f"{text} ({format_difference(row)})"
 
     percentile = "p95" if late else "mean of the middle half"
@@ -181,6 +184,10 @@ def _deadline_table(records: pd.DataFrame, scores: Scores, sample_ms: float, lat
         "Between measured budgets linear in log spp; none is extrapolated. Parentheses: paired "
         "difference to the best. "
     )
+    caption += (
+        "±: half of the range of the PSNR over the interval of an uncertain time; `?`: at its high "
+        "end no measured budget fits. "
+    )
     if late:
         caption += (
             "Frames whose inference takes longer than its p95, one in 20, are late and show "
@@ -190,6 +197,11 @@ def _deadline_table(records: pd.DataFrame, scores: Scores, sample_ms: float, lat
     best_first = records.sort_values(["deadline_ms", "value"], ascending=False)["method"]
     table = _table(title, caption, records, "deadline_ms", "{:g} ms".format, cell, best_first)
     return replace(table, note=VERDICT_NOTE)
+
+
+def _time_doubt(value_range: float) -> str:
+    """What an uncertain time leaves open of a score at a deadline; empty where it is narrow."""
+    return "?" if value_range != value_range else f" ±{value_range:.2f}" * (value_range >= 0.005)
 
 
 def _crossover_table(records: pd.DataFrame) -> Table:
@@ -302,7 +314,8 @@ def _time_cell(row: Record, curve: Curve, sample_ms: float) -> str:
     times = curve.frame_ms(sample_ms)[curve.spp > 0]
     ends = (f"{times[0]:.1f}", f"{times[-1]:.1f}")
     pairs = zip(SPP_COLUMNS, TIME_COLUMNS, strict=True)
-    return _with_ends(*(_bounded(row[spp], f"{row[ms]:.1f}", ends) for spp, ms in pairs))
+    text = _with_ends(*(_bounded(row[spp], f"{row[ms]:.1f}", ends) for spp, ms in pairs))
+    return text + mark_uncertainty(curve.uncertainty(sample_ms))
 
 
 def _bounded(spp: float, text: str, ends: tuple[str, str]) -> str:

@@ -10,19 +10,22 @@ from typing import TYPE_CHECKING, Any
 
 import pandas as pd
 from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 
 from reports.analysis.scores import FRAME_PARTS, Scores, metrics_with_values
 from reports.layout import style
 from reports.layout.page import Drawing, describe_clips, write_figures
-from rlbench.benchmark.results import MissingRowsError
+from reports.layout.tables import uncertainty_of
+from rlbench.benchmark.results import WIDE, MissingRowsError, interval_columns, mark_uncertainty
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
 MAX_PANELS = 4
-PARTS = {  # column: name and colour; the samplers warm, the denoiser blue, the renderer grey
-    "gbuffer_ms": ("G-buffer", "#B8B8B8"),
+PALE = 0.45  # opacity of the bars of uncertain times
+PARTS = {  # column: name and colour; the samplers warm, the denoiser blue, the renderer green, grey
+    "gbuffer_ms": ("G-buffer", "#4D9221"),
     "plan_ms": ("plan", "#D55E00"),
     "allocate_ms": ("allocate", "#F0B27A"),
     "sampling_ms": ("sampling", "#6B6B6B"),
@@ -58,7 +61,7 @@ def _figures(scores: Scores) -> dict[str, Drawing]:
 def frame_times(scores: Scores) -> pd.DataFrame:
     """The parts of a frame of each method and budget, mean over scenes; they add to `frame_ms`."""
     means = scores.overall
-    columns = ["method", "target_spp", *FRAME_PARTS, "frame_ms", "unreliable"]
+    columns = ["method", "target_spp", *FRAME_PARTS, *interval_columns("frame")]
     return means.loc[means["frame_ms"].notna(), columns].reset_index(drop=True)
 
 
@@ -81,10 +84,10 @@ def _caption(scores: Scores) -> str:
 
 
 def draw_frame_bars(times: pd.DataFrame, caption: str) -> Figure:
-    """The figure. `times` has the columns method, target_spp, those of PARTS, frame_ms, unreliable.
+    """The figure. `times` is as `frame_times` returns it.
 
     Methods are in the order of their mean frame time in all panels, the fastest on top. Bars of
-    unreliable times are pale, with a dashed outline.
+    uncertain times are pale, with a line over the interval of the frame time.
     """
     methods = list(times.groupby("method")["frame_ms"].mean().sort_values().index)
     budgets = sorted(set(times["target_spp"]))
@@ -102,10 +105,10 @@ def draw_frame_bars(times: pd.DataFrame, caption: str) -> Figure:
         _draw_panel(axes, times[times["target_spp"] == budget], methods)
         axes.set_title(f"{budget:g} spp", loc="left", fontweight="bold")
         axes.set_xlabel("frame time [ms]")
-    handles = [Patch(color=color, label=name) for name, color in PARTS.values()]
-    if times["unreliable"].any():
-        pale: dict[str, Any] = {"facecolor": "#E4E4E4", "edgecolor": style.BLACK, "linestyle": "--"}
-        handles.append(Patch(label="?: unreliable time", **pale))
+    handles: list[Any] = [Patch(color=color, label=name) for name, color in PARTS.values()]
+    if any(uncertainty_of(row) > WIDE for row in times.to_dict("records")):
+        line = Line2D([], [], color=style.BLACK, lw=1.2, label="interval of an uncertain time")
+        handles.append(line)
     figure.legend(
         handles=handles, loc="upper left", ncol=len(PARTS) + 1, frameon=False,
         bbox_to_anchor=(0.006, (footer - 0.55) / height), columnspacing=1.6, handlelength=1.4,
@@ -116,25 +119,31 @@ def draw_frame_bars(times: pd.DataFrame, caption: str) -> Figure:
 
 def _draw_panel(axes: Axes, times: pd.DataFrame, methods: list[str]) -> None:
     rows = {row["method"]: row for row in times.to_dict("records")}
-    longest = float(times["frame_ms"].max()) or 1.0
+    ends = [
+        row["frame_high_ms" if uncertainty_of(row) > WIDE else "frame_ms"] for row in rows.values()
+    ]
+    longest = max(map(float, ends), default=0.0) or 1.0
     for position, method in enumerate(methods):
         if method not in rows:
             axes.text(0.01 * longest, position, "not measured", va="center", color=style.GREY,
                       fontsize=9.5)  # fmt: skip
             continue
         row, start = rows[method], 0.0
-        outline: dict[str, Any] = (
-            {"alpha": 0.45, "edgecolor": style.BLACK, "linestyle": "--", "linewidth": 0.8}
-            if row["unreliable"]
-            else {"edgecolor": "white", "linewidth": 0.6}
-        )
+        share = uncertainty_of(row)
+        alpha = PALE if share > WIDE else 1.0
         for column, (_, color) in PARTS.items():
-            axes.barh(position, row[column], left=start, height=0.74, color=color, **outline)
+            axes.barh(
+                position, row[column], left=start, height=0.74, color=color, alpha=alpha,
+                edgecolor="white", linewidth=0.6,
+            )  # fmt: skip
             start += float(str(row[column]))
-        mark = "?" * bool(row["unreliable"])
-        text = f"{row['frame_ms']:.3g}{mark}"
+        if share > WIDE:
+            high = float(str(row["frame_high_ms"]))
+            axes.hlines(position, row["frame_low_ms"], high, color=style.BLACK, lw=1.2)
+            start = high
+        text = f"{row['frame_ms']:.3g}{mark_uncertainty(share)}"
         axes.text(start + 0.012 * longest, position, text, va="center", fontsize=10)
-    axes.set_xlim(0, longest * 1.17)
+    axes.set_xlim(0, longest * 1.3)
     axes.set_ylim(len(methods) - 0.4, -0.6)
     axes.set_yticks(range(len(methods)), methods)
     axes.tick_params(axis="y", length=0)

@@ -19,19 +19,20 @@ from matplotlib.patches import Patch
 from matplotlib.ticker import FuncFormatter, LogLocator, MaxNLocator, NullFormatter
 
 from reports.analysis.rows import ReportError
-from reports.analysis.scores import Scores
+from reports.analysis.scores import ENDS, Scores
 from reports.layout import style
 from reports.layout.curve_labels import LABEL_DISTANCE, label_curves, label_width, longest_rise
 from reports.layout.page import Drawing, describe_clips, write_figures
 from reports.layout.style import LineStyle
-from reports.layout.tables import score_name
+from reports.layout.tables import score_name, uncertainty_of
+from rlbench.benchmark.results import WIDE, MissingRowsError
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
 LOG_RATIO = 3.0  # values that span a larger factor get a logarithmic axis
 WINDOW_DB = 10.0  # below the best score, that a panel shows
-UNRELIABLE, PALE = "pale: unreliable time", 0.35  # opacity
+UNCERTAIN, PALE = "bar: interval of an uncertain time", 0.45  # opacity
 MAX_PANELS = 8  # with more scenes, only their mean is drawn
 WIDTH, HEIGHT = 13.0, 5.4  # inches; keys and caption come on top; many names need more height
 LEADER, GAP = 0.4, 0.75  # inches: from the first panel to names beside it, from these to an axis
@@ -48,8 +49,8 @@ def write(
     """Write the plot and a CSV of its points, see `write_figures`.
 
     Frame time = gbuffer + plan + allocate + sampling + denoise. Points without a score or time are
-    not plotted; those with an unreliable time are pale and never on the front. Raises ReportError
-    if no point is left.
+    not plotted; those with an uncertain time are pale, with a bar. Raises MissingRowsError if no
+    point is left.
     """
     return write_figures(results, folder, name, _figures, metric)
 
@@ -72,17 +73,18 @@ class Labels:
 def plotted_points(scores: Scores) -> pd.DataFrame:
     """The rows of `scores.points` that have a frame time, and their means over scenes.
 
-    `front` is true for the points on the Pareto front of their panel, which an unreliable time
-    cannot be on. Raises ReportError if no point has a time, or if there are too many scenes for
-    panels and no mean over them.
+    `uncertain` is true for points whose time has a wide interval, `front` for those on the Pareto
+    front of their panel. Raises MissingRowsError if no point has a time, and ReportError if there
+    are too many scenes for panels and no mean over them.
     """
     per_scene = scores.points
     mean = scores.overall.assign(scene=OVERALL)
     points = pd.concat([mean, per_scene], ignore_index=True)[per_scene.columns]
     points = points[points["frame_ms"].notna()].reset_index(drop=True)
     _check_points(points, scores)
+    points["uncertain"] = [uncertainty_of(row) > WIDE for row in points.to_dict("records")]
     points["front"] = False
-    for _, panel in points[~points["unreliable"]].groupby("scene"):
+    for _, panel in points.groupby("scene"):
         front = pareto_front(panel["frame_ms"], panel["value"], scores.direction)
         points.loc[panel.index[front], "front"] = True
     return points
@@ -128,7 +130,7 @@ def _check_points(points: pd.DataFrame, scores: Scores) -> None:
     if points.empty:
         rows = scores.rows
         measured = sorted(set(rows.loc[rows["value"].notna(), "metric"])) or ["nothing"]
-        raise ReportError(
+        raise MissingRowsError(
             f"no method has all of {scores.metric}, plan_ms, denoise_ms and sample_ms on a scene; "
             f"the results have {', '.join(measured)}. Measure times with rlbench run; its option "
             "--cost takes sample_ms from a published profile"
@@ -149,14 +151,14 @@ def _missing_methods(scores: Scores) -> str:
     averaged = scores.overall.groupby("method")["target_spp"].nunique()
     measured = scores.measured.groupby("method")["target_spp"].nunique()
     partial = {method for method, count in measured.items() if averaged.get(method, 0) < count}
-    unreliable = set(points.loc[points["unreliable"], "method"])
     missing = {
         "Not on every scene and frame": partial,
         "Without a time on every scene": untimed,
-        "Pale: an unreliable time, measured on a busy machine": unreliable,
     }
+    lines = [f"{title}: {', '.join(sorted(who))}." for title, who in missing.items() if who]
     return "".join(
-        f"\n{title}: {', '.join(sorted(methods))}." for title, methods in missing.items() if methods
+        f"\n{line}"
+        for line in (*lines, *(f"Uncertain: {each}." for each in scores.uncertain_times))
     )
 
 
@@ -201,8 +203,8 @@ def draw_pareto(plotted: pd.DataFrame, labels: Labels) -> Figure:
         axes.set_title(scene, loc="left", fontweight="bold" if scene == OVERALL else "normal")
     better = f"  ({labels.direction} is better)" if labels.direction else ""
     panels[scenes[0]].set_ylabel(labels.score + better)
-    has_unreliable = bool(plotted["unreliable"].any())
-    _add_keys(figure, sizes, has_unreliable, (footer - 0.58) / (height + footer))
+    has_uncertain = bool(plotted["uncertain"].any())
+    _add_keys(figure, sizes, has_uncertain, (footer - 0.58) / (height + footer))
     figure.text(0.012, 0.014, caption, fontsize=10.5, color=style.BLACK, va="bottom")
     return figure
 
@@ -232,11 +234,22 @@ def _add_panels(
 
 
 def _window(points: pd.DataFrame, direction: str) -> tuple[Range, Range]:
-    """The scores and times that a panel shows; of PSNR, from WINDOW_DB below the best on."""
+    """The scores and times that a panel shows; of PSNR, from WINDOW_DB below the best on.
+
+    Intervals of uncertain times are inside.
+    """
     low, high = points["value"].min(), points["value"].max()
     bottom = max(low, high - WINDOW_DB) if direction == "higher" else low
-    times = points[points["value"] >= bottom]["frame_ms"]
-    return (bottom, high), (times.min(), times.max())
+    inside = points[points["value"] >= bottom]
+    times = inside.assign(
+        **{
+            f"frame_{end}_ms": inside[f"frame_{end}_ms"].where(
+                inside["uncertain"], inside["frame_ms"]
+            )
+            for end in ENDS
+        }
+    )
+    return (bottom, high), (times["frame_low_ms"].min(), times["frame_high_ms"].max())
 
 
 def _spans_decades(left: float, right: float) -> bool:
@@ -284,7 +297,12 @@ def _draw_curves(
         line, curve = styles[str(method)], curve.sort_values("target_spp")
         rise = curve.iloc[longest_rise(list(curve["frame_ms"]))]
         axes.plot(rise["frame_ms"], rise["value"], c=line.color, ls=line.dash, lw=1.8, zorder=2)
-        for is_pale, part in curve.groupby("unreliable"):
+        for is_pale, part in curve.groupby("uncertain"):
+            if is_pale:
+                axes.hlines(
+                    part["value"], part["frame_low_ms"], part["frame_high_ms"], color=line.color,
+                    lw=1.2, alpha=PALE, zorder=1.5,
+                )  # fmt: skip
             axes.scatter(
                 part["frame_ms"], part["value"], s=part["target_spp"].map(sizes).tolist(),
                 color=line.face, marker=line.marker, edgecolors=line.edge, zorder=3,
@@ -295,9 +313,9 @@ def _draw_curves(
     return ends
 
 
-def _add_keys(figure: Figure, sizes: dict[float, float], has_unreliable: bool, y: float) -> None:
+def _add_keys(figure: Figure, sizes: dict[float, float], has_uncertain: bool, y: float) -> None:
     areas: list[Any] = [Patch(color=DOMINATED_COLOUR, label=DOMINATED)]
-    areas += [_dot(64.0, UNRELIABLE, PALE)] * has_unreliable
+    areas += [_dot(64.0, UNCERTAIN, PALE, is_on_line=True)] * has_uncertain
     budgets = [_dot(size, f"{spp:g}") for spp, size in sizes.items()]
     shared: dict[str, Any] = {"frameon": False, "fontsize": 12, "borderaxespad": 0}
     figure.legend(
@@ -311,8 +329,8 @@ def _add_keys(figure: Figure, sizes: dict[float, float], has_unreliable: bool, y
     budget_key.set_alignment("right")
 
 
-def _dot(area: float, name: str, alpha: float = 1.0) -> Line2D:
+def _dot(area: float, name: str, alpha: float = 1.0, is_on_line: bool = False) -> Line2D:
     return Line2D(
-        [], [], linestyle="", marker="o", color=style.GREY, markersize=math.sqrt(area),
-        markeredgecolor="white", label=name, alpha=alpha,
+        [], [], linestyle="-" if is_on_line else "", marker="o", color=style.GREY, label=name,
+        markersize=math.sqrt(area), markeredgecolor="white", alpha=alpha,
     )  # fmt: skip

@@ -17,14 +17,13 @@ from reports.analysis.equal_time import at_equal_latency
 from reports.analysis.scores import Scores, keep_first_frames
 from reports.layout.page import Section, write_report
 from reports.layout.tables import (
-    UNRELIABLE_MARK,
-    UNRELIABLE_MEANING,
+    UNCERTAIN_MEANING,
     Record,
     Table,
     format_difference,
     pivot,
 )
-from rlbench.benchmark.results import MissingRowsError
+from rlbench.benchmark.results import MissingRowsError, mark_uncertainty
 
 BASE = "ours"
 PARTS = {  # row: what BASE has and the row lacks, or has in its place
@@ -86,7 +85,7 @@ def _section(scores: Scores) -> Section | None:
         "Differences": difference_notes(records),
         "Rows without scores": [f"{row}: {PARTS[row]}" for row in PARTS if row not in rows],
         "Not run": scores.skip_reasons,
-        "Unreliable times": scores.unreliable_times if len(parts[TIME]) else [],
+        "Uncertain times": scores.uncertain_times if len(parts[TIME]) else [],
         "Remarks": scores.remarks,
     }
     return Section(scores.device, tables, records, lists)
@@ -127,12 +126,12 @@ def _time_tables(scores: Scores, records: pd.DataFrame) -> tuple[Table, Table]:
     )
     caption = (
         f"Samples per pixel of each row in the frame time of {BASE}. After `>=` no larger budget "
-        f"was measured; -: no measured budget fits. {UNRELIABLE_MEANING}."
+        f"was measured; -: no measured budget fits. {UNCERTAIN_MEANING}."
     )
     return gap_table, Table("Samples at equal time", caption, header, rows)
 
 
 def _format_samples(record: Record) -> str:
     """The samples per pixel of a row of `at_equal_latency`."""
-    mark = UNRELIABLE_MARK * bool(record["unreliable"])
+    mark = mark_uncertainty(record["uncertainty"])
     return f"{'>= ' * bool(record['is_bound'])}{record['spp']:.2f}{mark}"

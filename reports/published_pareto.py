@@ -18,8 +18,9 @@ from reports.layout import style
 from reports.layout.curve_labels import label_curves, longest_rise, marker_size
 from reports.layout.page import Drawing, write_figures
 from reports.layout.style import LineStyle
+from reports.layout.tables import uncertainty_of
 from reports.published import no_published_rows, published
-from rlbench.benchmark.results import MissingRowsError
+from rlbench.benchmark.results import WIDE, MissingRowsError
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -119,11 +120,11 @@ def _missing_methods(scores: Scores, measured: pd.DataFrame) -> str:
     """Caption lines with the methods that have scores and are not drawn."""
     absent = sorted(set(scores.measured["method"]) - set(measured["method"]))
     untimed = sorted(set(measured.loc[measured["frame_ms"].isna(), "method"]))
-    doubted = set(scores.overall.loc[scores.overall["unreliable"], "method"])
-    unreliable = sorted(doubted & set(measured["method"]))
+    means = scores.overall[scores.overall["method"].isin(measured["method"])]
+    doubted = {row["method"] for row in means.to_dict("records") if uncertainty_of(row) > WIDE}
     missing = {
         "Two devices": list(scores.device_mixes),
-        "Unreliable times, measured on a busy machine": unreliable,
+        "Uncertain times, measured on a busy machine": sorted(doubted),
         "Measured, but not in the paper or not on every scene": absent,
         "Without a time": untimed,
     }

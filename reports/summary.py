@@ -17,7 +17,14 @@ from reports.analysis.differences import (
 from reports.analysis.rows import nearest_to_one, remarks, skip_reasons
 from reports.analysis.scores import HEADLINE, Scores, metrics_with_values
 from reports.layout.page import Section, write_report
-from reports.layout.tables import UNRELIABLE_MEANING, Table, format_ms, score_table
+from reports.layout.tables import (
+    UNCERTAIN_MEANING,
+    Record,
+    Table,
+    format_ms,
+    format_number,
+    score_table,
+)
 
 TIME_COLUMNS = {
     "gbuffer_ms": "G-buffer",
@@ -66,10 +73,18 @@ def _section(scores: Scores) -> Section:
         "In the CSV alone": [", ".join([*sorted(hidden), "scores of each scene"])] * is_brief,
         "Not run": skip_reasons(rows),
         "Left out of the means": [line for each in metrics for line in each.incomplete_groups],
-        "Unreliable times": scores.unreliable_times,
+        "Uncertain times": scores.uncertain_times,
         "Remarks": remarks(rows),
     }
     return Section(scores.device, tables, records, lists)
+
+
+def _time_cell(row: Record, column: str) -> str:
+    """A time; those of a frame, of inference and of sampling have their uncertainty."""
+    part = column.removesuffix("_ms")
+    if part in ("frame", "inference", "sampling"):
+        return format_ms(row, part, 2)
+    return format_number(row[column], ".2f")
 
 
 def _scene_tables(scores: Scores, rank: pd.DataFrame) -> list[Table]:
@@ -107,14 +122,14 @@ def _time_tables(scores: Scores, is_brief: bool) -> list[Table]:
         times = times[times["target_spp"] == nearest_to_one(set(times["target_spp"]))]
     rows = tuple(
         (row["method"], f"{row['target_spp']:g}", f"{row['mean_spp']:.3g}")
-        + tuple(format_ms(row[c], row["unreliable"], 2) for c in TIME_COLUMNS)
+        + tuple(_time_cell(row, column) for column in TIME_COLUMNS)
         for row in times.to_dict("records")
     )
     caption = (
         f"Plan, allocate and denoise on {scores.device_name}, means of the middle half of their "
         "frames; sampling = mean spp x time of one sample per pixel "
         f"({scores.cost_source or 'an unnamed source'}); frame = G-buffer + plan + allocate + "
-        f"sampling + denoise; inference = plan + allocate + denoise. {UNRELIABLE_MEANING}."
+        f"sampling + denoise; inference = plan + allocate + denoise. {UNCERTAIN_MEANING}."
     )
     caption += "".join(f" Two devices: {mix}." for mix in scores.device_mixes)
     header = ("method", "target spp", "mean spp", *TIME_COLUMNS.values())

@@ -24,7 +24,7 @@ from reports.analysis.rows import label_of
 from reports.analysis.scores import Scores
 from reports.layout.page import Section, write_report
 from reports.layout.tables import (
-    UNRELIABLE_MEANING,
+    UNCERTAIN_MEANING,
     Record,
     Table,
     format_difference,
@@ -32,6 +32,7 @@ from reports.layout.tables import (
     format_number,
 )
 from reports.published import no_published_rows, published
+from rlbench.benchmark.results import interval_columns
 
 STRONG_DB = 2.0  # below the best of the paper; weaker rows are in order whatever the rest does
 BASE = "ours"  # the method that all others are compared with
@@ -83,7 +84,7 @@ def _section(everything: Scores, trained: Mapping[str, int] | None) -> Section |
         "Left out of the means": scores.incomplete_groups,
         "Left out: other weights or precision": sorted({m for m in rows["method"] if label_of(m)}),
         "Not run": everything.skip_reasons,
-        "Unreliable times": scores.unreliable_times,
+        "Uncertain times": scores.uncertain_times,
         "Remarks": everything.remarks,
     }
     return Section(scores.device, [_table(scores, records, trained)], records, lists)
@@ -110,8 +111,7 @@ def compare_with_paper(scores: Scores) -> pd.DataFrame:
                 "target_spp": spp,
                 "psnr": row["value"],
                 **difference_columns(scores.gap(method, BASE, spp) if is_compared else UNKNOWN),
-                "inference_ms": row["inference_ms"],
-                "unreliable": row["unreliable"],
+                **{column: row[column] for column in interval_columns("inference")},
                 "published_name": printed.name if printed else "",
                 "published_psnr": at_budget.psnr_db if at_budget else math.nan,
                 "published_ms": at_budget.inference_ms if at_budget else math.nan,
@@ -149,7 +149,7 @@ def _table(scores: Scores, records: pd.DataFrame, trained: Mapping[str, int] | N
     )
     caption = (
         f"PSNR in dB ({scores.convention}), mean over scenes; inference = plan + allocate + "
-        f"denoise, on {scores.device_name}; {UNRELIABLE_MEANING}. "
+        f"denoise, on {scores.device_name}; {UNCERTAIN_MEANING}. "
         f"{VERDICT_NOTE} Paper: {paper.title}, {paper.source}; {paper.conditions}. "
         f"{WARNING} {_orders_text(records)}"
     )
@@ -160,7 +160,7 @@ def _difference_and_time(row: Record | None) -> tuple[str, str]:
     if row is None:
         return "-", "-"
     gap: str = "-" if pd.isna(row["difference"]) else format_difference(row)
-    return gap, format_ms(row["inference_ms"], row["unreliable"])
+    return gap, format_ms(row, "inference")
 
 
 def _published_cells(method: str) -> tuple[str, str, str]:

@@ -30,6 +30,7 @@ from reports.analysis.curves import (
     Winners,
     curves_of,
     denoisers,
+    find_possible_winners,
     find_winners,
     measured_sample_ms,
     methods_without_curve,
@@ -57,6 +58,7 @@ CAPTION_LETTERS = 145  # in a line
 EXHAUSTED = "to the right, no larger\nbudget was measured"
 NOTHING_COLOUR = "#F4F4F4"
 HATCH = "///"
+UNCERTAIN_WHITE = 0.55  # share of white where times are too uncertain to name the winner
 LIGHTEST = 0.68  # share of white in the colour of a family's last variant; the first has none
 RATES = {"120 Hz": 1000 / 120, "60 Hz": 1000 / 60, "30 Hz": 1000 / 30, "10 Hz": 100, "1 Hz": 1000}
 LABEL_INCHES = 0.13  # of the radius of the largest circle in a region, from which it is labelled
@@ -71,14 +73,15 @@ def write(
 
     Each cell has the denoiser with the best mean score over scenes whose frame time fits the
     deadline; no region is won by raw samples. A cell is hatched where it ties with the runner-up,
-    where their difference is not resolved, or where there is no interval. Raises MissingRowsError
+    where their difference is not resolved, or where there is no interval, and pale where times are
+    so uncertain that another method may win. Raises MissingRowsError
     if no method has scores and times on every scene.
     """
     return write_figures(results, folder, name, _figures, metric)
 
 
 def _figures(scores: Scores) -> dict[str, Drawing]:
-    known = curves_of(scores, allow_unreliable=False)
+    known = curves_of(scores)
     curves = denoisers(known)
     if not curves or not scores.direction:
         raise MissingRowsError(
@@ -107,6 +110,7 @@ class WinnerMap:
     difference: Numbers  # winner minus runner-up; nan without one
     low: Numbers  # of its interval
     high: Numbers
+    is_uncertain: NDArray[np.bool_]  # another method wins at other ends of the times' intervals
     tie_margin: float = 0.0  # of a difference, in the unit of the score
 
     @property
@@ -137,6 +141,7 @@ class WinnerMap:
             "low": self.low,
             "high": self.high,
             "is_open": self.is_open,
+            "is_uncertain": self.is_uncertain,
         }
         cells = pd.DataFrame(
             {name: values[::every, ::every].ravel() for name, values in columns.items()}
@@ -157,6 +162,7 @@ def map_winners(curves: Sequence[Curve]) -> WinnerMap:
     first = winners.first
     spp = np.take_along_axis(winners.spp, first[None], axis=0)[0]  # NOTHING reads the last: nan
     largest = np.array([curve.spp[-1] for curve in curves])[first]
+    possible = find_possible_winners(curves, sample_ms, deadline_ms)
     shape = (ROWS, COLUMNS)
     return WinnerMap(
         methods=tuple(curve.method for curve in curves),
@@ -169,6 +175,7 @@ def map_winners(curves: Sequence[Curve]) -> WinnerMap:
         difference=mean.reshape(shape),
         low=low.reshape(shape),
         high=high.reshape(shape),
+        is_uncertain=(possible.sum(axis=0) > 1).reshape(shape),
     )
 
 
@@ -199,6 +206,7 @@ def _caption(scores: Scores, curves: Sequence[Curve]) -> str:
     sizes = sorted(set(scores.measured["size"]) - {""})
     at_size = f" at {', '.join(sizes)}" if sizes else ""
     missing = "".join(f"\n{line}." for line in methods_without_curve(scores, curves))
+    missing += "".join(f"\nUncertain: {line}." for line in scores.uncertain_times)
     return (
         f"Best mean {score_name(scores.metric)} over scenes, {describe_clips(scores.measured)}. "
         f"Frame time: G-buffer, as many samples as in the results + plan + allocate + denoise on "
@@ -247,8 +255,9 @@ def draw_winner_map(
     _mark_rates(axes)
     _mark_cost(axes, measured_ms)
     _label_regions(axes, winners, colours)
+    handles = _handles(colours, bool(winners.is_uncertain.any()))
     figure.legend(
-        handles=_handles(colours), loc="upper left", bbox_to_anchor=(right + 0.012, 0.935),
+        handles=handles, loc="upper left", bbox_to_anchor=(right + 0.012, 0.935),
         frameon=False, fontsize=11, borderaxespad=0, handlelength=1.6, labelspacing=0.6,
     )  # fmt: skip
     figure.text(0.012, 0.985, heading, fontsize=11, color=style.BLACK, va="top")
@@ -277,6 +286,11 @@ def _fill_regions(axes: Axes, winners: WinnerMap, colours: dict[str, Any]) -> No
         x, y, winner + 1, cmap=ListedColormap(palette), vmin=-0.5, vmax=len(palette) - 0.5,
         shading="nearest", rasterized=True, zorder=0,
     )  # fmt: skip
+    if winners.is_uncertain.any():
+        axes.contourf(
+            x, y, winners.is_uncertain.astype(float), levels=[0.5, 1.5], colors="white",
+            alpha=UNCERTAIN_WHITE, zorder=0.5,
+        )  # fmt: skip
     if winners.is_open.any():
         hatched = axes.contourf(
             x, y, winners.is_open.astype(float), levels=[0.5, 1.5], colors="none", hatches=[HATCH],
@@ -364,8 +378,10 @@ def _widest_place(inside: NDArray[np.bool_], cell: tuple[float, float]) -> tuple
     return float(depth[row, column]), int(row), int(column)
 
 
-def _handles(colours: dict[str, Any]) -> list[Any]:
+def _handles(colours: dict[str, Any], has_uncertain: bool) -> list[Any]:
     handles: list[Any] = [Patch(color=colour, label=name) for name, colour in colours.items()]
+    if has_uncertain:
+        handles.append(Patch(color="#D8D8D8", label="paler: times are uncertain,\nanother may win"))
     handles.append(
         Patch(
             facecolor="#9A9A9A",

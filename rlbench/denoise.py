@@ -12,18 +12,21 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, field, fields, is_dataclass, replace
+from itertools import product
 from typing import Any
 
+import numpy as np
 import torch
 from jaxtyping import Float
 from torch import Tensor
 
 from rlbench import registry
-from rlbench.clips.exposure import area_luminance, exposure_from_areas
+from rlbench.clips.exposure import LIT, area_luminance, exposure_of_frames
 from rlbench.errors import RlbenchError
 from rlbench.frames import BUFFERS, Frame, GBuffer, Reference, Samples, Size, StoredPool
 from rlbench.method import Method, State
-from rlbench.sanitize import Repairs, sanitize_frame
+from rlbench.ops.transfer import HALF_MAX
+from rlbench.sanitize import FrameInput, Repairs, sanitize_frame
 
 __all__ = [
     "DEFAULT_METHOD",
@@ -34,11 +37,15 @@ __all__ = [
     "denoise",
     "denoise_frame",
     "estimate_exposure",
+    "estimate_memory",
     "read_leaves",
     "replace_leaves",
 ]
 
 DEFAULT_METHOD = "accumulate/intel"
+CLIPPED = f"radiance above {HALF_MAX:g} times display white"
+TILE, OVERLAP = 2048, 128  # pixels: sides of a tile, and what is seen around it; multiples of 32
+FRAME_BYTES, METHOD_BYTES = 300, 1000  # of a pixel, at most
 MAX_SLOTS = 8  # of the largest pool that methods were trained with
 Leaf = Tensor | bool | int | float | str | None
 
@@ -81,7 +88,8 @@ def denoise(
 
     A frame is read when its image is asked for, so memory is that of one frame and of the method's
     state. Images are on the device of their frame. Radiance times `exposure` is 1 at display white;
-    by default the first frame decides, as in `rlbench render`. For a frame after a cut, start anew.
+    by default the first frame that has light decides, as in `rlbench render`, and the first that
+    is so much brighter that its light would be clipped begins anew. After a cut, call it again.
 
     Raises DenoiseError for a method that needs more than the mean (see `check_denoises_means`), and
     for a frame without a buffer that the method reads.
@@ -94,9 +102,13 @@ def denoise(
         check_denoises_means(method)
         method = registry.load_method(method, device)
     state: State = None
+    chosen = exposure
     for frame in frames:
-        exposure = exposure or estimate_exposure(frame.mean)
-        result = denoise_frame(method, frame, state, exposure, device)
+        if exposure is None and (chosen is None or _peak(frame.mean) * chosen > HALF_MAX):
+            own = estimate_exposure(frame.mean) if _peak(frame.mean) > 0 else None
+            if own and (chosen is None or own < LIT * chosen):
+                state, chosen = None, own
+        result = denoise_frame(method, frame, state, chosen or 1.0, device)
         state = result.state
         yield result.image
 
@@ -116,13 +128,45 @@ def denoise_frame(
     _check_frame(method, frame, is_first=state is None)
     n, _, h, w = frame.mean.shape
     state = method.start(Size(n, h, w)) if state is None else state
-    gbuffer, mean, repairs = _sanitize(method, frame, exposure, torch.device(device))
+    valid, mean, clipped = _sanitize(method, frame, exposure, torch.device(device))
     slots = max(1, min(round(frame.spp), MAX_SLOTS))
     counts = torch.full_like(mean[:, :1], slots, dtype=torch.int64)
     radiance = mean.unsqueeze(1).expand(-1, slots, -1, -1, -1)  # takes no memory
     samples = Samples(radiance, counts, max(frame.spp / slots, 1.0))
-    image, state = method.denoise(gbuffer, samples, state)
+    image, state = _denoise_tiles(method, valid.gbuffer, samples, state)
+    valid.questions.answer()
+    repairs = valid.repairs
+    if count := int(clipped):
+        repairs = {**repairs, CLIPPED: count, "radiance": repairs["radiance"] - count}
+    repairs = {name: count for name, count in repairs.items() if count}
     return DenoisedFrame((image / exposure).to(frame.mean.device), state, repairs)
+
+
+def _denoise_tiles(
+    method: Method, gbuffer: GBuffer, samples: Samples, state: State
+) -> tuple[Tensor, State]:
+    """The image and the state; without a memory, a large frame takes the memory of one tile."""
+    n, _, h, w = samples.counts.shape
+    if method.traits.temporal or h * w <= TILE**2:
+        return method.denoise(gbuffer, samples, state)
+    image = torch.empty_like(samples.radiance[:, 0])
+    for y, x in product(range(0, h, TILE), range(0, w, TILE)):
+        top, left = max(0, y - OVERLAP), max(0, x - OVERLAP)
+        crop = (..., slice(top, y + TILE + OVERLAP), slice(left, x + TILE + OVERLAP))
+        buffers = {name: buffer[crop] for name, buffer in gbuffer.buffers.items()}
+        drawn = replace(samples, radiance=samples.radiance[crop], counts=samples.counts[crop])
+        size = Size(n, *drawn.counts.shape[-2:])
+        tile, _ = method.denoise(GBuffer(buffers, gbuffer.static), drawn, method.start(size))
+        core = (..., slice(y - top, y - top + TILE), slice(x - left, x - left + TILE))
+        image[..., y : y + TILE, x : x + TILE] = tile[core]
+    return image, state
+
+
+def estimate_memory(method: Method, height: int, width: int) -> int:
+    """The memory that a frame takes at most, bytes: its images and the method's networks."""
+    pixels = height * width
+    inside = pixels if method.traits.temporal else min(pixels, (TILE + 2 * OVERLAP) ** 2)
+    return FRAME_BYTES * pixels + METHOD_BYTES * inside
 
 
 def check_denoises_means(name: str) -> None:
@@ -135,11 +179,15 @@ def check_denoises_means(name: str) -> None:
         raise DenoiseError(f"'{name}' {reason}. Rows that work: {', '.join(rows[:8])}, ...")
 
 
-def estimate_exposure(mean: Float[Tensor, "n 3 h w"]) -> float:
-    """The exposure for a mean image, as `rlbench import` chooses it; 1 for a black one."""
-    valid = mean[0].float().nan_to_num(0, 0, 0).clamp_min(0)
-    areas = area_luminance(valid.movedim(0, -1).cpu().numpy())
-    return exposure_from_areas(areas) if areas.max() > 0 else 1.0
+def estimate_exposure(means: Iterable[Float[Tensor, "3 h w"]]) -> float:
+    """The exposure for mean images of a shot, as `rlbench import` chooses it; 1 for black ones."""
+    valid = (mean.float().nan_to_num(0, 0, 0).clamp_min(0).movedim(0, -1) for mean in means)
+    return exposure_of_frames(np.stack([area_luminance(image.cpu().numpy()) for image in valid]))
+
+
+def _peak(mean: Tensor) -> float:
+    """The largest finite value."""
+    return float(mean.nan_to_num(0, 0, 0).amax())
 
 
 def read_leaves(state: State, path: str = "state") -> Iterator[tuple[str, Leaf]]:
@@ -209,14 +257,18 @@ def _check_frame(method: Method, frame: NoisyFrame, *, is_first: bool) -> None:
 
 def _sanitize(
     method: Method, frame: NoisyFrame, exposure: float, device: torch.device
-) -> tuple[GBuffer, Float[Tensor, "n 3 h w"], Repairs]:
-    """G-buffer and exposed mean on the device, invalid values replaced as in a run."""
+) -> tuple[FrameInput, Float[Tensor, "n 3 h w"], Tensor]:
+    """The frame and its exposed mean on the device, invalid values replaced as in a run.
+
+    Also the number of pixels whose light was clipped.
+    """
     given, inputs = frame.gbuffer, method.traits.inputs
     buffers = {k: v.to(device) for k, v in given.select(inputs).buffers.items()}
     mean = frame.mean.to(device, torch.float32) * exposure
     pool = StoredPool(mean.unsqueeze(1), (0,) * len(mean))
     is_static = given.static or "motion" not in buffers
     frame_input = Frame(0, GBuffer(buffers, is_static), pool, Reference(mean, mean))
-    gbuffer, valid, repairs = sanitize_frame(frame_input, inputs)
+    valid = sanitize_frame(frame_input, inputs)
     one = torch.ones_like(mean[:, :1], dtype=torch.int64)
-    return gbuffer, valid.read(valid.empty(), one)[:, 0], repairs
+    clipped = (mean.isfinite().all(1) & (mean.amax(1) > HALF_MAX)).sum()
+    return valid, valid.pool.read(valid.pool.empty(), one)[:, 0], clipped

@@ -42,6 +42,7 @@ class Traits:
     spp_range: tuple[float, float] = (0.0, 8.0)  # supported budgets in spp, both ends included
     receptive_field: int | None = None  # of `denoise`, radius in pixels; None: the whole image
     reads_each_sample: bool = False  # True if their mean in place of each harms the image
+    eager_reason: str = ""  # why its frames cannot be recorded: what asks for values; else empty
 
     def __post_init__(self) -> None:
         """Reject values below zero and passes that do not increase to the whole budget."""

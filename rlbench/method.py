@@ -12,6 +12,7 @@ from torch import Tensor
 from rlbench.errors import PluginError
 from rlbench.family import Traits
 from rlbench.frames import GBuffer, Samples, Size
+from rlbench.questions import Questions
 
 __all__ = ["Method", "State", "checked_density", "config_json"]
 
@@ -71,20 +72,27 @@ class Method(Protocol):
 
 
 def checked_density(
-    method: Method, gbuffer: GBuffer, samples: Samples, state: State
+    method: Method, gbuffer: GBuffer, samples: Samples, state: State, questions: Questions
 ) -> Float[Tensor, "n 1 h w"]:
     """The density that `method` plans, checked against its traits.
 
-    Raises PluginError if the density varies although the traits declare adaptive=False. For such a
-    method only as many stored samples are decoded as uniform sampling needs.
+    Raises PluginError if the density varies although the traits declare adaptive=False, here or
+    when `questions` are answered. For such a method only as many stored samples are decoded as
+    uniform sampling needs.
     """
     density = method.plan(gbuffer, samples, state)
-    if not method.traits.adaptive and bool(density.max() > density.min()):
+    if not method.traits.adaptive:
+        questions.ask((density.max() > density.min())[None], _check_constant)
+    return density
+
+
+def _check_constant(answer: list[float]) -> None:
+    """Raise PluginError if the answer is that a density varies."""
+    if answer[0]:
         raise PluginError(
             "the density varies between pixels, but the traits say adaptive=False; "
             "declare Traits(adaptive=True) or return a constant"
         )
-    return density
 
 
 def config_json(method: Method) -> str:

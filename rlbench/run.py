@@ -4,6 +4,7 @@
     for each frame:
         for each pass: plan a density, turn it into whole sample counts, read these samples
         denoise the samples to an image and the next state
+        answer what only the values can tell: errors, and counts of repairs
 
 The method never receives the reference, a later frame, or a sample that its budget did not pay for.
 """
@@ -23,7 +24,7 @@ from rlbench.method import Method, State, checked_density
 from rlbench.sampling import draw_pilot, draw_samples
 from rlbench.sanitize import FrameInput, Repairs, sanitize_frame
 
-__all__ = ["FrameResult", "run_clip", "unroll"]
+__all__ = ["FrameResult", "run_clip", "run_frame", "unroll"]
 
 ReadFrame = Callable[[Frame, frozenset[str]], FrameInput]
 
@@ -51,24 +52,38 @@ def unroll(
     Raises PluginError if a method varies its density without Traits(adaptive=True), and BudgetError
     (rlbench.sampling) if a density is invalid or the budget cannot pay for `Traits.min_samples`.
     """
-    traits = method.traits
     state = method.start(clip.size)
     for frame in clip:
-        gbuffer, pool, repairs = read(frame, traits.inputs)
-        drawn_spp = min(traits.pilot_spp, spp)
-        samples = draw_pilot(pool, drawn_spp)
-        for share in traits.passes:
-            previous = samples
-            density = checked_density(method, gbuffer, previous, state)
-            total_spp = max(spp * share, drawn_spp)
-            limits = _count_limits(traits, share, total_spp, drawn_spp)
-            samples = draw_samples(
-                pool, previous, density, total_spp, *limits, traits.discard_pilot
-            )
-            drawn_spp = total_spp
-        visible = samples.since(previous) if traits.discard_pilot else samples
-        image, state = method.denoise(gbuffer, visible, state)
-        yield FrameResult(frame, samples, image, repairs, state)
+        valid = read(frame, method.traits.inputs)
+        samples, image, state = run_frame(method, valid, state, spp)
+        valid.questions.answer()
+        yield FrameResult(frame, samples, image, valid.repairs, state)
+
+
+def run_frame(
+    method: Method, frame: FrameInput, state: State, spp: float
+) -> tuple[Samples, Float[Tensor, "n 3 h w"], State]:
+    """The samples drawn for one frame, its image, and the next state.
+
+    Nothing is asked of a GPU here, unless the method asks, so that the operations of a frame can be
+    recorded and run again. Errors that values cause are raised when the frame's questions are
+    answered; on a CPU, where they occur.
+    """
+    (gbuffer, pool, _, questions), traits = frame, method.traits
+    drawn_spp = min(traits.pilot_spp, spp)
+    samples = draw_pilot(pool, drawn_spp, questions)
+    for share in traits.passes:
+        previous = samples
+        density = checked_density(method, gbuffer, previous, state, questions)
+        total_spp = max(spp * share, drawn_spp)
+        limits = _count_limits(traits, share, total_spp, drawn_spp)
+        samples = draw_samples(
+            pool, previous, density, total_spp, *limits, traits.discard_pilot, questions
+        )
+        drawn_spp = total_spp
+    visible = samples.since(previous) if traits.discard_pilot else samples
+    image, state = method.denoise(gbuffer, visible, state)
+    return samples, image, state
 
 
 @torch.inference_mode()  # as a decorator it is active while a frame is computed, not between frames

@@ -137,6 +137,8 @@ def load_into(module: nn.Module, path: Path) -> ModelCard:
     """
     card = read_card(path)
     content = path.read_bytes()
+    if not content:
+        raise WeightsError(f"{path} is empty. {_remedy(card)}")
     if (sha256 := hashlib.sha256(content).hexdigest()) != card.sha256:
         raise WeightsError(
             f"{path} has hash {sha256[:12]}, but its card says {card.sha256[:12]}: one of the two "
@@ -160,6 +162,8 @@ def read_card(path: Path) -> ModelCard:
     """
     file = card_path(path)
     for required in (path, file):
+        if required.is_dir():
+            raise WeightsError(f"{required} is a folder, not a file of weights or their card")
         if not required.is_file():
             raise WeightsError(
                 f"{required} is missing. Train the weights with 'rlbench train', or select others "

@@ -30,6 +30,9 @@ FILES = {  # of the scene, by path
 OTHERS = {  # of the repository, not of the scene
     "README.md": b"rooms\n",
     "scenes/cellar/room.xml": b"<scene/>",
+    "scenes/empty/a.gltf": b"{}",
+    "scenes/empty/b.xml": b"<scene/>",
+    "hut.blend": b"BLENDER",
     f"{FOLDER}/.DS_Store": b"x",
     f"{FOLDER}/TungstenRender.png": b"x",
     f"{FOLDER}/transient_scene.xml": b"<scene/>",

@@ -12,6 +12,7 @@ from baselines.accumulate.memory import share_by_spp
 from rlbench import registry
 from rlbench.checks.tensors import is_bit_equal
 from rlbench.denoise import (
+    CLIPPED,
     DEFAULT_METHOD,
     DenoiseError,
     check_denoises_means,
@@ -111,6 +112,27 @@ def test_missing_motion_is_named_and_nothing_moves_is_accepted():
     assert len(list(rlbench.denoise(static))) == 2
 
 
+@pytest.mark.parametrize("row", ["mean", "accumulate/tuned"])
+@pytest.mark.parametrize("dark", [0.0, 1e-7])
+def test_frames_after_a_dark_one_are_not_clipped(row, dark):
+    lights = [dark, 1.0, 1.0]
+    image = torch.rand(1, 3, 9, 11, generator=torch.Generator().manual_seed(0))
+    buffers = {"albedo": image, "normal": image * 0, "depth": image[:, :1] + 1}
+    frames = [
+        rlbench.NoisyFrame(GBuffer(buffers, static=True), image * light, 9) for light in lights
+    ]
+    *_, last = rlbench.denoise(frames, row)
+    assert float(last.mean()) == pytest.approx(float(image.mean()), rel=0.05)
+
+
+def test_light_that_is_clipped_is_counted_apart():
+    image = torch.rand(1, 3, 4, 5)
+    image[..., 0, 0], image[..., 1, 1] = 1e9, torch.nan
+    frame = rlbench.NoisyFrame(GBuffer({}, static=True), image, 1)
+    repairs = denoise_frame(rlbench.load_method("mean"), frame, None, 1.0).repairs
+    assert repairs == {CLIPPED: 1, "radiance": 1}
+
+
 def test_invalid_pixels_are_replaced_and_counted():
     frames, _ = noisy_frames(1)
     frames[0].mean[0, :, 5, 5] = torch.nan
@@ -132,3 +154,31 @@ def test_a_state_is_that_of_its_leaves(name):
         assert same, path
     images = [denoise_frame(method, frames[2], each, 1.0).image for each in (state, restored)]
     assert is_bit_equal(*images)
+
+
+ALONE = [
+    name
+    for name in registry.expand(["all/*"])
+    if not (variant := registry.get_variant(name)).traits.temporal
+    and not variant.traits.reads_each_sample
+    and variant.traits.pool == "path"
+]
+
+
+@pytest.mark.parametrize(
+    "name", [pytest.param(n, marks=[pytest.mark.slow] * (n not in ("oidn", "eaw"))) for n in ALONE]
+)
+def test_a_large_frame_is_denoised_in_tiles_without_a_seam(name, monkeypatch):
+    """Tiles of 160 pixels, with what the network sees around them, against the whole frame."""
+    frames, _ = noisy_frames(1)
+    size = [torch.nn.functional.interpolate(x, (336, 352)) for x in (frames[0].mean,)]
+    buffers = {
+        key: torch.nn.functional.interpolate(x, (336, 352))
+        for key, x in frames[0].gbuffer.buffers.items()
+    }
+    frame = rlbench.NoisyFrame(GBuffer(buffers, static=True), size[0], 4)
+    method = rlbench.load_method(name)
+    whole = denoise_frame(method, frame, None, 1.0).image
+    monkeypatch.setattr("rlbench.denoise.TILE", 160)
+    tiled = denoise_frame(method, frame, None, 1.0).image
+    torch.testing.assert_close(tiled, whole, rtol=2e-3, atol=2e-3)

@@ -1,7 +1,8 @@
 """Whatever a record on disk holds: the right content, or one error that a user can act on.
 
-Records are model cards, weights, baselines and row files. Each property runs on 200 changed
-records, and on 2,000 in `make test-all`.
+Records are model cards, weights, baselines and row files, and the other files that a stranger may
+send: clips, images, layouts, cost profiles, ledgers, pins, queues. Each property runs on 200
+changed records, and on 2,000 in `make test-all`.
 """
 
 from __future__ import annotations
@@ -17,6 +18,7 @@ from pathlib import Path
 from typing import Any
 
 import msgspec
+import numpy as np
 import pandas as pd
 import pytest
 import safetensors.torch
@@ -26,12 +28,19 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from torch import nn
 
-from rlbench.benchmark import results
+from rlbench.benchmark import cost, looks, results
 from rlbench.benchmark.cell_key import CellId, CellKey
+from rlbench.benchmark.loose_images import read_linear
 from rlbench.benchmark.regression.baseline import SCHEMA, load_baseline
 from rlbench.benchmark.results import Row
+from rlbench.clips.header import FILE, read_header
+from rlbench.clips.importers.layout import read_layout, ready_layouts
+from rlbench.clips.pfm import write_pfm
 from rlbench.errors import RlbenchError
+from rlbench.scenes.collection.pins import Pin, PinnedFile, format_pin, read_pin
+from rlbench.training.queue import read_queue
 from rlbench.weights import ModelCard, card_path, load_into, read_card, save, training_clips
+from tests.conftest import write_noise
 
 QUICK, THOROUGH = 200, 2000  # changed records of each kind
 
@@ -258,3 +267,54 @@ def read_changed_rows(content: bytes) -> None:
 
 
 test_a_changed_row_file_is_read_or_refused = examples(read_changed_rows, draw_change(CONTENT))
+
+
+# Other files of strangers
+
+LEDGER = b"date,preset,methods,cells,code_hash\n2026-01-01T00:00:00Z,mini,mean,3,ab\n"
+PIN = format_pin(Pin("owner/scenes", "0" * 40, "a", (PinnedFile("scene.xml", "1" * 40, 12),)))
+QUEUE = b'[[training]]\nname = "a"\nmethods = "ours"\nminutes = 5\n'
+LAYOUT = (ready_layouts()["blender"]).read_bytes()
+PROFILE = (cost.PROFILES / "paper-2080ti.toml").read_bytes()
+
+
+def _sample(write: Callable[[Path], object], name: str) -> bytes:
+    with tempfile.TemporaryDirectory() as folder:
+        write(Path(folder))
+        return (Path(folder) / name).read_bytes()
+
+
+def _write_pfm(folder: Path) -> None:
+    write_pfm(folder / "a.pfm", np.ones((3, 4, 3), np.float32))
+
+
+STRANGERS: dict[str, tuple[str, bytes, Callable[[Path], Any]]] = {
+    "ledger": (looks.FILE, LEDGER, lambda file: looks.count_looks(file.parent)),
+    "pin": ("room.tsv", PIN.encode(), read_pin),
+    "queue": ("queue.toml", QUEUE, lambda file: read_queue(file, ["methods", "minutes"])),
+    "layout": ("layout.toml", LAYOUT, lambda file: read_layout(str(file))),
+    "cost": ("cost.toml", PROFILE, lambda file: cost.profile(str(file))),
+    "header": (FILE, _sample(write_noise, FILE), lambda file: read_header(file.parent)),
+    "exr": ("a.exr", _sample(write_noise, "referenceA.0000.exr"), read_linear),
+    "pfm": ("a.pfm", _sample(_write_pfm, "a.pfm"), read_linear),
+}
+
+
+def read_changed_file(example: tuple[str, bytes]) -> None:
+    name, content = example
+    file_name, _, read = STRANGERS[name]
+    with tempfile.TemporaryDirectory() as folder:
+        file = Path(folder) / file_name
+        file.write_bytes(content)
+        found = result_or_error(read, file)
+        if isinstance(found, RlbenchError):
+            assert file.stem in str(found)
+        assert [each.name for each in Path(folder).iterdir()] == [file_name]
+
+
+test_a_changed_file_of_a_stranger_is_read_or_refused = examples(
+    read_changed_file,
+    st.sampled_from(sorted(STRANGERS)).flatmap(
+        lambda name: st.tuples(st.just(name), draw_change(STRANGERS[name][1]))
+    ),
+)

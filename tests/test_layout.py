@@ -21,6 +21,7 @@ CLOCK = r"perf_counter|monotonic\(|time\.time\(|process_time|cuda\.Event\("
 MAX_LINES = 450  # of a module
 TIMED = (  # what measures, what stops in time, and what writes down the cost of a sample
     "rlbench/benchmark/clock.py",
+    "rlbench/system/load.py",
     "rlbench/training/loop.py",
     "rlbench/parallel/executor.py",
     "methods/ours/experiments/compare_learners.py",

@@ -26,7 +26,7 @@ def frame():
 
 def test_a_valid_frame_is_handed_over_without_copies_and_without_repairs():
     original = frame()
-    gbuffer, pool, repairs = sanitize_frame(original, INPUTS)
+    gbuffer, pool, repairs, _ = sanitize_frame(original, INPUTS)
     assert all(gbuffer.buffers[name] is original.gbuffer.buffers[name] for name in INPUTS)
     assert torch.equal(pool.read(pool.empty(), _counts(2)), _read(original, 2))
     assert not repairs
@@ -34,7 +34,7 @@ def test_a_valid_frame_is_handed_over_without_copies_and_without_repairs():
 
 def test_only_declared_buffers_are_read():
     bad = plant_in_buffer(frame(), "depth", math.nan, 3, 4)
-    gbuffer, _, repairs = sanitize_frame(bad, frozenset({"albedo"}))
+    gbuffer, _, repairs, _ = sanitize_frame(bad, frozenset({"albedo"}))
     assert set(gbuffer.buffers) == {"albedo"}
     assert not repairs
 
@@ -44,13 +44,13 @@ def test_repairs_are_counted_by_pixel():
     for name, value in (("albedo", math.nan), ("depth", -1.0), ("motion", math.inf)):
         bad = plant_in_buffer(bad, name, value, 3, 4)
     bad = plant_in_buffer(bad, "depth", -1.0, 0, 0)
-    gbuffer, _, repairs = sanitize_frame(bad, INPUTS)
+    gbuffer, _, repairs, _ = sanitize_frame(bad, INPUTS)
     assert repairs == {"albedo": 1, "depth": 2, "motion": 1}
     assert all(not buffer.isnan().any() for buffer in gbuffer.buffers.values())
 
 
 def test_a_bad_sample_is_counted_once_though_two_passes_read_it():
-    _, pool, repairs = sanitize_frame(plant_in_samples(frame(), math.nan, 3, 4), INPUTS)
+    _, pool, repairs, _ = sanitize_frame(plant_in_samples(frame(), math.nan, 3, 4), INPUTS)
     first = draw_samples(pool, pool.empty(), torch.ones(1, 1, 8, 9), 1.0)
     draw_samples(pool, first, torch.ones(1, 1, 8, 9), 2.0)
     assert repairs == {"radiance": 1}
@@ -58,7 +58,7 @@ def test_a_bad_sample_is_counted_once_though_two_passes_read_it():
 
 def test_a_bad_sample_that_is_not_drawn_is_not_counted():
     bad = replace(plant_in_samples(frame(), math.nan, 3, 4))
-    _, pool, repairs = sanitize_frame(bad, INPUTS)
+    _, pool, repairs, _ = sanitize_frame(bad, INPUTS)
     draw_samples(pool, pool.empty(), torch.ones(1, 1, 8, 9), 0.0)
     assert not repairs
 

@@ -10,6 +10,7 @@ from jaxtyping import Bool, Float
 from torch import Tensor
 
 from baselines.accumulate.memory import History
+from rlbench.ops.asking import may_ask
 from rlbench.ops.box_filter import box_mean
 from rlbench.ops.color import luminance
 from rlbench.ops.transfer import log_inverse
@@ -19,6 +20,7 @@ MAX_DENSITY = 4.0  # times the rule's mean
 NEW_PIXELS = 0.9  # quantile of the rule that pixels without history get
 KNOWN = 0.3  # least similarity of a pixel with history
 DARK = 0.05  # radiance added to the image before deviations are divided by it
+CONTRAST_SIDE, BLUR_SIDE = 3, 3  # pixels, sides of the windows of the contrast rule
 DEVIATION_SIDE = 7  # pixels, side of the window that variances are averaged over
 
 DensityRule = Callable[[History], Tensor]
@@ -35,7 +37,8 @@ class HasImage(Protocol):
 def contrast(history: HasImage) -> Float[Tensor, "n 1 h w"]:
     """Roughness of the last image: its distance from its 3x3 mean in log transfer, blurred."""
     image = history.image
-    return box_mean((image - box_mean(image, 3)).abs().mean(1, keepdim=True), 3)
+    rough = (image - box_mean(image, CONTRAST_SIDE)).abs().mean(1, keepdim=True)
+    return box_mean(rough, BLUR_SIDE)
 
 
 def deviation(history: History) -> Float[Tensor, "n 1 h w"]:
@@ -83,10 +86,13 @@ def _quantile(
     values: Float[Tensor, "n 1 h w"], known: Bool[Tensor, "n 1 h w"]
 ) -> Float[Tensor, "n 1 1 1"]:
     """The 0.9 quantile of the known values of each image; 1 if none is known."""
-    counts = known.flatten(1).sum(1).tolist()
-    images = values.where(known, torch.inf).flatten(1)
+    images, count = values.where(known, torch.inf).flatten(1), known.flatten(1).sum(1)
+    if not may_ask(count):
+        rank = (NEW_PIXELS * (count - 1).double()).round().long().clamp_min(0)
+        ranked = images.sort(1).values.gather(1, rank[:, None])[:, 0]
+        return ranked.where(count > 0, 1.0).view(-1, 1, 1, 1)
     quantiles = [
         image.kthvalue(round(NEW_PIXELS * (count - 1)) + 1).values if count else image.new_ones(())
-        for image, count in zip(images, counts, strict=True)
+        for image, count in zip(images, count.tolist(), strict=True)
     ]
     return torch.stack(quantiles).view(-1, 1, 1, 1)

@@ -14,6 +14,7 @@ from baselines.eaw import STILL, TRAITS
 from rlbench.family import Traits
 from rlbench.frames import GBuffer, Samples, Size
 from rlbench.ops.accumulation import surface_features
+from rlbench.ops.asking import is_recorded
 from rlbench.ops.box_filter import block_mean, box_mean
 from rlbench.ops.demodulation import reflectance, surface_mask
 from rlbench.ops.fireflies import mean_without_fireflies
@@ -78,6 +79,27 @@ def _scale_features(
     )
 
 
+class Decay:
+    """2^-|f_p - f_q|^2 of features f, for the same number of pixels in every call."""
+
+    def __init__(self, features: Float[Tensor, "g row"], length: int) -> None:
+        """Buffers for `length` pixels, unless operations are recorded: compilers make their own."""
+        self.features, self.length = features, length
+        self.difference: Tensor | None = None
+        if not is_recorded(features):
+            self.difference = features.new_zeros(len(features), length + -length % ALIGNMENT)
+            self.decay = self.difference[:1].clone()
+
+    def __call__(self, p: slice, q: slice) -> Float[Tensor, "1 piece"]:
+        """The weights, which the next call overwrites."""
+        ahead, behind, difference = self.features[:, p], self.features[:, q], self.difference
+        if difference is None:
+            return (ahead - behind).square_().sum(0, keepdim=True).neg_().exp2_()
+        torch.sub(ahead, behind, out=difference[:, : self.length])
+        torch.sum(difference.square_(), 0, keepdim=True, out=self.decay).neg_().exp2_()
+        return self.decay[:, : self.length]
+
+
 def atrous_pass(
     rows: PaddedRows,
     step: int,
@@ -94,15 +116,11 @@ def atrous_pass(
     values = torch.cat((irradiance, torch.ones_like(irradiance[:1])))
     before, after = torch.zeros_like(values), values.clone()
     for start, stop in rows.chunks(irradiance):
-        length = stop - start
-        difference = irradiance.new_zeros(len(features), length + -length % ALIGNMENT)
-        decay = difference[:1].clone()
+        decay = Decay(features, stop - start)
         for tap in reversed(atrous_taps(step)):
             shift = rows.offset(tap.down, tap.right)
             p, q = slice(start, stop), slice(start + shift, stop + shift)
-            torch.sub(features[:, p], features[:, q], out=difference[:, :length])
-            torch.sum(difference.square_(), 0, keepdim=True, out=decay).neg_().exp2_()
-            weight = decay[:, :length].mul_(tap.weight)
+            weight = decay(p, q).mul_(tap.weight)
             after[:, p].addcmul_(values[:, q], weight)
             before[:, q].addcmul_(values[:, p], weight)
     total = before.add_(after)

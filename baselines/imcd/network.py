@@ -11,6 +11,7 @@ from torch import Tensor, nn
 from torch.nn import functional as F
 
 from rlbench.ops.affinity import affinity_sum, cross_affinity_sum
+from rlbench.ops.asking import may_ask
 from rlbench.ops.init import kaiming_init
 from rlbench.ops.padding import crop, pad
 
@@ -76,7 +77,7 @@ class Encoder(nn.Module):
     LeakyReLU follows each, with the slope 0.01 of one reimplementation of Isik et al. 2021.
     """
 
-    traceable = False  # slots without a sample are skipped
+    traceable = False  # slots without a sample are skipped on a CPU
 
     def __init__(self) -> None:
         """From 10 to 32 channels; 2,464 parameters."""
@@ -94,7 +95,7 @@ class Encoder(nn.Module):
         """The mean embedding e_t, computed slot by slot so that memory does not grow with slots."""
         total = gbuffer.new_zeros(gbuffer.shape[0], EMBEDDING, *gbuffer.shape[2:])
         for colour, valid in zip(colours.unbind(1), valid_mask.unbind(1), strict=True):
-            if valid.is_cuda or valid.any():  # a GPU adds zeros faster than it answers
+            if not may_ask(valid) or valid.any():
                 total = total + self.embed(torch.cat((colour, gbuffer), 1)).float() * valid
         return total / valid_mask.sum(1).clamp_min(1)
 

@@ -22,6 +22,7 @@ from baselines.nppd.network import (
 from rlbench.family import Traits
 from rlbench.frames import GBuffer, Samples, Size
 from rlbench.ops.accumulation import fill_holes, frame_radiance, surface_features
+from rlbench.ops.asking import may_ask
 from rlbench.ops.demodulation import demodulation_albedo, filtered_albedo
 from rlbench.ops.fireflies import limit_fireflies
 from rlbench.ops.padding import crop, pad
@@ -142,7 +143,7 @@ def _sample_irradiance(
     """
     radiance = limit_fireflies(samples.radiance, samples.counts)
     irradiance, is_empty = radiance / albedo[:, None], samples.counts == 0
-    if not is_empty.any():
+    if may_ask(is_empty) and not is_empty.any():
         return Samples(irradiance, samples.counts)
     filled = fill_holes(frame_radiance(radiance, samples.counts), gbuffer.albedo).mean / albedo
     first = torch.where(is_empty, torch.lerp(filled, history, weight), irradiance[:, 0])

@@ -8,7 +8,11 @@ from rlbench.family import Family, Traits, Variant
 
 __all__ = ["FAMILY", "TRAITS"]
 
-TRAITS = Traits(inputs=frozenset({"albedo", "normal"}), spp_range=(1.0, 8.0))
+TRAITS = Traits(
+    inputs=frozenset({"albedo", "normal"}),
+    spp_range=(1.0, 8.0),
+    eager_reason="Intel's library reads images in the memory of the host",
+)
 INTEL = Variant(
     "How far does the library get with its own weights, trained by Intel on other scenes?",
     TRAITS,

@@ -8,6 +8,7 @@ import torch
 from jaxtyping import Float, Int
 from torch import Tensor
 
+from rlbench.ops.asking import may_ask
 from rlbench.ops.color import REC709_LUMINANCE
 from rlbench.ops.padded_rows import PaddedRows
 
@@ -82,13 +83,18 @@ def reproject_history(
     total, weight = _sum_matching_taps(rows, history, corner, BILINEAR_TAPS, bilinear, surface)
 
     # pixels without a bilinear tap: 3 x 3 box
-    missing = ((weight < MIN_WEIGHT) & (surface[1] != 0).any(0)).nonzero()[:, 0]
-    nearest = rows.pixel_index((x + 0.5).floor(), (y + 0.5).floor()).view(-1)[missing]
-    missing_surface = (surface[0][missing], surface[1][:, missing])
-    box = [torch.ones_like(missing_surface[0])] * len(BOX_TAPS)
-    total[:, missing], weight[missing] = _sum_matching_taps(
-        rows, history, nearest, BOX_TAPS, box, missing_surface
-    )
+    missing = (weight < MIN_WEIGHT) & (surface[1] != 0).any(0)
+    nearest = rows.pixel_index((x + 0.5).floor(), (y + 0.5).floor()).view(-1)
+    asks = may_ask(missing)
+    if asks:
+        missing = missing.nonzero()[:, 0]
+        nearest, surface = nearest[missing], (surface[0][missing], surface[1][:, missing])
+    ones = [torch.ones_like(surface[0])] * len(BOX_TAPS)
+    box_total, box_weight = _sum_matching_taps(rows, history, nearest, BOX_TAPS, ones, surface)
+    if asks:
+        total[:, missing], weight[missing] = box_total, box_weight
+    else:
+        total, weight = box_total.where(missing, total), box_weight.where(missing, weight)
     mean = torch.where(weight >= MIN_WEIGHT, total / weight, 0.0)
     return mean.view(6, rows.n, rows.h, rows.w).transpose(0, 1)
 

@@ -23,6 +23,7 @@ from baselines.svgf.history import (
 )
 from rlbench.family import Traits
 from rlbench.frames import GBuffer, Samples, Size
+from rlbench.ops.asking import may_ask
 from rlbench.ops.demodulation import reflectance, surface_mask
 from rlbench.ops.fireflies import mean_without_fireflies
 from rlbench.ops.padded_rows import PaddedRows
@@ -191,7 +192,7 @@ def _estimate_variance(
     """Irradiance and its variance: temporal, or spatial where the history is short."""
     irradiance, variance = rows.pack(moments.irradiance), rows.pack(moments.variance)
     is_short = surface & (moments.length < MIN_HISTORY_LENGTH)
-    if not is_short.any():
+    if may_ask(is_short) and not is_short.any():
         return irradiance, variance
     pixel_luminance = luminance(irradiance[None])[0]
     guide = pixel_luminance, torch.full_like(pixel_luminance, -LOG2E / sigma_luminance)

@@ -121,7 +121,8 @@ class RuleRadiance(TemporalRadiance):
     ) -> tuple[Float[Tensor, "n 3 h w"], Float[Tensor, "n s h w"]]:
         """The denoiser's colour and the previous image, mixed in log transfer; the next latent."""
         history, latent = frame.history, frame.latent
-        previous = history.image.where(history.similarity > 0, MISSING)
+        is_similar = history.similarity > torch.finfo(torch.float32).tiny  # also in float64
+        previous = history.image.where(is_similar, MISSING)
         statistics = radiance_statistics(radiance)
         features = torch.cat((previous, statistics, history.similarity, latent), dim=1)
         image, others = _denoise_exposed(denoiser, frame.gbuffer, features, radiance)

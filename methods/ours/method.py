@@ -136,6 +136,8 @@ class Ours:
         )
         image, latent = self.accumulator.reconstruct(self._run_denoiser, sampled, radiance)
         frame = DenoisedFrame(gbuffer, samples, encoded, latent, radiance, image)
+        if not self.traits.temporal:  # nothing is remembered
+            return image, state
         return image, self.history.remember(frame, state.age + 1)
 
     def act(self, gbuffer: GBuffer, state: RecurrentState) -> Float[Tensor, "n 1 h w"]:

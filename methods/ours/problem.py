@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections import Counter
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
@@ -142,7 +141,7 @@ class FrameProblem:
 
     @cached_property
     def _pool(self) -> Pool:
-        return SanitizedPool(self.frame.pool, Counter())
+        return SanitizedPool(self.frame.pool)
 
     def _draw_samples(self, action: Float[Tensor, "n 1 h w"]) -> Samples:
         pool, density = self._pool, self._density(action)

@@ -8,14 +8,15 @@ a budget of 0 spp and the next one.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
 from reports.analysis.rows import GIVEN_GBUFFER, family_of
-from reports.analysis.scores import INFERENCE, Scores, mean_over_scenes
+from reports.analysis.scores import ENDS, INFERENCE, Scores, mean_over_scenes
+from rlbench.benchmark.results import WIDE, uncertainty
 
 Numbers = NDArray[np.float64]
 TINY = 1e-9  # stands for a budget of 0 spp, whose logarithm would be infinite
@@ -35,9 +36,23 @@ class Curve:
     fixed_ms: Numbers  # [budgets], plan + allocate + denoise, mean over scenes
     samples: Numbers  # [budgets], time of the drawn samples of a pixel, in path samples
     late_ms: Numbers  # [budgets], as fixed_ms, but p95
+    low_ms: (
+        Numbers  # [budgets], low end of the interval of fixed_ms, which it is where that is narrow
+    )
+    high_ms: Numbers  # [budgets], high end, likewise
     sign: int  # 1 where high scores are better, -1 where low ones are
     gbuffer_samples: float = 0.0  # time of the G-buffer, in path samples
     gbuffer_ms: float = 0.0  # in place of it, a time that does not depend on that of a sample
+
+    def at_end(self, end: str) -> Curve:
+        """The curve with times at the `low` or `high` end of their intervals."""
+        fixed = self.low_ms if end == "low" else self.high_ms
+        return replace(self, fixed_ms=fixed, late_ms=self.late_ms + fixed - self.fixed_ms)
+
+    def uncertainty(self, sample_ms: float | Numbers) -> float:
+        """The largest `uncertainty` of the frame times, from that of inference."""
+        ends = (each.frame_ms(sample_ms).tolist() for each in (self, *map(self.at_end, ENDS)))
+        return max(uncertainty(*times) for times in zip(*ends, strict=True))
 
     @property
     def direction(self) -> str:
@@ -96,30 +111,31 @@ class Curve:
         return np.where((spp >= self.spp[0]) & (spp <= self.spp[-1]), values, np.nan)
 
 
-def curves_of(scores: Scores, allow_unreliable: bool = True) -> list[Curve]:
+def curves_of(scores: Scores) -> list[Curve]:
     """The curve of each method, by name, over the budgets with scores and times on every scene.
 
-    Without `allow_unreliable`, a budget whose time is unreliable on a scene is left out: an answer
-    must not rest on times that the clock rejected.
+    An interval of inference that is narrow changes no answer: its ends are the time itself.
     """
     points = scores.points.assign(**_in_path_samples(scores.points))
-    if not allow_unreliable:
-        doubted = points.groupby(["method", "target_spp"])["unreliable"].transform("any")
-        points = points[~doubted]
     budgets = mean_over_scenes(points).dropna(subset=["inference_ms", "samples"])
     unit = "scene" if scores.scene_means["scene"].nunique() > 1 else "clip"
     means = scores.scene_means if unit == "scene" else scores.clip_means
     units = means.pivot(index=["method", "target_spp"], columns=unit, values="value")
     sign = -1 if scores.direction == "lower" else 1
     columns = ["target_spp", "inference_ms", "samples", "inference_p95_ms"]
+    ends = ["inference_low_ms", "inference_high_ms"]
     is_given = (scores.rows["convention"] == GIVEN_GBUFFER).any()
     curves = []
     for method, rows in budgets.sort_values("target_spp").groupby("method"):
         table = units.loc[[(method, spp) for spp in rows["target_spp"]]].to_numpy(float)
         spp, fixed, samples, late = (rows[name].to_numpy(float) for name in columns)
+        low, high = (rows[name].to_numpy(float) for name in ends)
+        is_wide = [uncertainty(*times) > WIDE for times in zip(fixed, low, high, strict=True)]
+        low, high = (np.where(is_wide, end, fixed) for end in (low, high))
         gbuffer = rows["gbuffer_ms" if is_given else "gbuffer_samples"].fillna(0.0).mean()
-        charged = {"gbuffer_ms" if is_given else "gbuffer_samples": float(gbuffer)}
-        curves.append(Curve(str(method), spp, table, fixed, samples, late, sign, **charged))
+        per_sample, per_frame = (0.0, float(gbuffer)) if is_given else (float(gbuffer), 0.0)
+        times = fixed, samples, late, low, high
+        curves.append(Curve(str(method), spp, table, *times, sign, per_sample, per_frame))
     return curves
 
 
@@ -132,14 +148,12 @@ def denoisers(curves: Sequence[Curve]) -> list[Curve]:
 def methods_without_curve(scores: Scores, curves: Iterable[Curve]) -> list[str]:
     """Sentences about the methods that have scores and no curve, each with what it lacks."""
     timed = scores.points.dropna(subset=INFERENCE)
-    complete, doubted = set(scores.overall["method"]), set(timed["method"][timed["unreliable"]])
+    complete = set(scores.overall["method"])
     reasons = {
         method: f"{method} has no {scores.metric} on every scene and frame at any budget"
         if method not in complete
         else f"{method} has no time on every scene"
         if method not in set(timed["method"])
-        else f"{method} has unreliable times alone"
-        if method in doubted
         else f"{method} has no cost of its samples on every scene"
         for method in set(scores.measured["method"]) - {curve.method for curve in curves}
     }
@@ -209,6 +223,29 @@ def find_winners(curves: Sequence[Curve], sample_ms: Numbers, deadline_ms: Numbe
     values = np.stack([curve.value_at(s) for curve, s in zip(curves, spp, strict=True)])
     scores = np.where(np.isnan(values), -np.inf, curves[0].sign * values)
     return Winners(np.argsort(-scores, axis=0, kind="stable"), spp, values)
+
+
+def find_possible_winners(
+    curves: Sequence[Curve], sample_ms: Numbers, deadline_ms: Numbers
+) -> NDArray[np.bool_]:
+    """The curves that would win, [methods n], if times were at some place of their intervals.
+
+    A curve may win if its score at the low end of its time is the best, while all others are at the
+    high end of theirs. Where all intervals are narrow, that is the winner alone.
+    """
+    ends = []
+    for end in ENDS:
+        at_end = [curve.at_end(end) for curve in curves]
+        winners = find_winners(at_end, sample_ms, deadline_ms)
+        values = curves[0].sign * winners.values
+        ends.append(np.where(np.isnan(values), -np.inf, values))
+    best_case, worst_case = ends
+    possible = np.zeros_like(best_case, bool)
+    for index in range(len(curves)):
+        others = np.delete(worst_case, index, axis=0)
+        rival = others.max(axis=0, initial=-np.inf)
+        possible[index] = np.isfinite(best_case[index]) & (best_case[index] >= rival)
+    return possible
 
 
 def find_switches(

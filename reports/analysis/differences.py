@@ -22,15 +22,18 @@ from reports.analysis.intervals import (
     smallest_resolvable,
 )
 from reports.analysis.scores import Scores, mean_over_scenes
+from rlbench.benchmark.results import WIDE, interval_columns, uncertainty
 
 ALL_SCENES = "all"  # in the column `scene` of means over scenes
 TIE_DB = 0.1  # of PSNR; a smaller difference matters to nobody
 LEADS, TRAILS, TIE, NOT_RESOLVED = "leads", "trails", "tie", "not resolved"
-HOLM_MARK = "†"  # after a difference that is resolved by itself, but not after the correction
+HOLM_MARK = "†"  # after a lead that the correction takes away
+# the scope of the correction, everywhere: a reader sees all that it corrects for
+HOLM_SCOPE = "all differences of the page or answer that shows them"
 VERDICT_NOTE = (
     f"Brackets: {INTERVAL_NOTE}. Tie: the interval lies within +-{TIE_DB:g} dB. Not resolved: it "
     "reaches further and includes zero. Otherwise one method leads; "
-    f"{HOLM_MARK}: not after Holm's correction."
+    f"{HOLM_MARK}: not after Holm's correction for {HOLM_SCOPE}."
 )
 RANK_COLUMNS = [
     "metric", "scene", "target_spp", "method", "mean", "difference", "low", "high", "best",
@@ -38,7 +41,7 @@ RANK_COLUMNS = [
 ]  # fmt: skip
 VARIANT_COLUMNS = [
     "method", "base", "target_spp", "difference", "low", "high", "verdict", "p_value", "unit",
-    "resolvable", "frame_ms", "unreliable", "pairs", "unpaired", "units",
+    "resolvable", "frame_ms", "frame_range_ms", "pairs", "unpaired", "units",
 ]  # fmt: skip
 
 
@@ -119,11 +122,15 @@ def holm(p_values: Sequence[float]) -> NDArray[np.float64]:
 
 
 def correct_by_holm(records: pd.DataFrame) -> pd.DataFrame:
-    """The records of a page with `p_holm`, and `mark` where the correction takes the lead away."""
+    """All records of a page, with `p_holm`, and `mark` where the correction takes a lead away."""
     p_holm = holm(list(records["p_value"]))
-    is_lead = records["verdict"].isin([LEADS, TRAILS])
-    mark = np.where(is_lead & (p_holm > 1 - LEVEL), HOLM_MARK, "")
+    mark = [holm_mark(*each) for each in zip(records["verdict"], p_holm, strict=True)]
     return records.assign(p_holm=p_holm, mark=mark)
+
+
+def holm_mark(verdict: str, p_holm: float) -> str:
+    """The mark of a lead that the correction takes away; empty for others."""
+    return HOLM_MARK if verdict in (LEADS, TRAILS) and p_holm > 1 - LEVEL else ""
 
 
 def difference_notes(records: pd.DataFrame) -> list[str]:
@@ -152,8 +159,8 @@ def subtract_base(scores: Scores, base: str, methods: Sequence[str]) -> pd.DataF
 
     The two scores of a pair have scene, clip, frame, budget and seed in common; `low` and `high`
     are the interval (nan with one clip); `p_holm` is corrected over all differences. `frame_ms` is
-    the mean difference over the scenes that both have; nan where either has no time. `unreliable`
-    is true if a time of either failed its test.
+    the mean difference over the scenes that both have, nan where either has no time, and
+    `frame_range_ms` half of the range of it; 0 where both intervals are narrow.
     """
     parts = {key: part for key, part in scores.measured.groupby(["method", "target_spp"])}
     records = []
@@ -171,13 +178,24 @@ def subtract_base(scores: Scores, base: str, methods: Sequence[str]) -> pd.DataF
                     **{"method": method, "base": base, "target_spp": spp},
                     **difference_columns(gap),
                     "frame_ms": float((times["frame_ms"] - other["frame_ms"]).mean()),
-                    "unreliable": bool(times["unreliable"].any() or other["unreliable"].any()),
+                    "frame_range_ms": _range_of_difference(times, other),
                     "pairs": len(pairs),
                     "unpaired": len(variant) + len(main) - 2 * len(pairs),
                     "units": gap.units,
                 }
             )
     return correct_by_holm(pd.DataFrame(records, columns=VARIANT_COLUMNS))
+
+
+def _range_of_difference(times: pd.DataFrame, other: pd.DataFrame) -> float:
+    """Half of the range of a difference of mean frame times; 0 where both intervals are narrow."""
+    ends = [
+        [float(part[column].mean()) for column in interval_columns("frame")]
+        for part in (times, other)
+    ]
+    if all(uncertainty(*each) <= WIDE for each in ends):
+        return 0.0
+    return sum(high - low for _, low, high in ends) / 2
 
 
 def rank_methods(scores: Scores) -> pd.DataFrame:

@@ -24,7 +24,7 @@ from reports.analysis.curves import (
 from reports.analysis.differences import correct_by_holm, difference_columns
 from reports.analysis.intervals import UNKNOWN, interval_ends, interval_of
 from reports.analysis.rows import family_of
-from reports.analysis.scores import Scores
+from reports.analysis.scores import ENDS, Scores
 
 MAX_DEADLINES = 7
 SERIES = ((1, 1.5, 2, 3, 5, 7), (1, 2, 5), (1,))  # round times, the fewest where there are many
@@ -55,9 +55,10 @@ def at_deadlines(
 ) -> pd.DataFrame:
     """The score of each method at its best budget within each deadline, and what the best gains.
 
-    Columns method, deadline_ms, spp, value, best, and those of `difference_columns` (to the best
-    method, paired by scene). `late`: the frame time has the p95 of inference, so that about
-    one frame in 20 is late.
+    Columns method, deadline_ms, spp, value, best, those of `difference_columns` (to the best
+    method, paired by scene), and value_range: half of the range of the value over the interval of
+    the method's time, 0 where it is narrow, nan where it does not fit at the high end. `late`: the
+    frame time has the p95 of inference, so that about one frame in 20 is late.
     """
     records = []
     for deadline in deadlines:
@@ -68,6 +69,7 @@ def at_deadlines(
             continue
         units = {c.method: c.units_at(np.array(spp[c.method])) for c in fits}
         best = max(fits, key=lambda c: c.sign * units[c.method].mean()).method
+        ranges = {c.method: _value_range(c, sample_ms, deadline) for c in fits}
         for method, scores in units.items():
             gap = UNKNOWN if method == best else interval_of(scores - units[best])
             records.append(
@@ -76,9 +78,17 @@ def at_deadlines(
                     "value": float(scores.mean()),
                     **difference_columns(gap, "dB", fits[0].direction),
                     "best": method == best,
+                    "value_range": ranges[method],
                 }
             )
     return pd.DataFrame(records)
+
+
+def _value_range(curve: Curve, sample_ms: float, deadline: float) -> float:
+    ends = [curve.at_end(end) for end in ENDS]
+    spp = [end.best_spp(np.array(sample_ms), np.array(deadline)) for end in ends]
+    worst, best = sorted(float(curve.value_at(each)) for each in spp)
+    return (best - worst) / 2
 
 
 def at_equal_latency(scores: Scores, rows: Sequence[str], base_name: str) -> pd.DataFrame:
@@ -87,8 +97,8 @@ def at_equal_latency(scores: Scores, rows: Sequence[str], base_name: str) -> pd.
     Empty without times of the base. In the order of `rows`.
 
     Columns method, base_spp, deadline_ms, spp (the best budget in this time, between the measured
-    ones; nan: none fits), share (of the base's samples), unreliable (a time of the row failed its
-    test), is_bound (more samples would fit than were measured), value, and those of
+    ones; nan: none fits), share (of the base's samples), uncertainty (the largest of the row's and
+    the base's times), is_bound (more samples would fit than were measured), value, and those of
     `difference_columns` (value minus the base's, paired by scene).
     """
     known = {curve.method: curve for curve in curves_of(scores)}
@@ -96,7 +106,6 @@ def at_equal_latency(scores: Scores, rows: Sequence[str], base_name: str) -> pd.
     if base is None:
         return pd.DataFrame()
     sample_ms = np.array(measured_sample_ms(scores))
-    doubted = set(scores.points.loc[scores.points["unreliable"], "method"])
     records = []
     for base_spp, deadline in zip(base.spp, base.frame_ms(sample_ms), strict=True):
         for curve in (known[row] for row in rows if row in known):
@@ -113,7 +122,7 @@ def at_equal_latency(scores: Scores, rows: Sequence[str], base_name: str) -> pd.
                     "deadline_ms": float(deadline),
                     "spp": spp,
                     "share": spp / base_spp,
-                    "unreliable": curve.method in doubted,
+                    "uncertainty": max(each.uncertainty(sample_ms) for each in (curve, base)),
                     "is_bound": not is_base and curve.frame_ms(sample_ms)[-1] < AT_MOST * deadline,
                     "value": float(units.mean()),
                     **difference_columns(gap),

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Collection, Set
 
 import pandas as pd
@@ -11,7 +12,7 @@ from rlbench.benchmark.results import (
     IMAGES_PREFIX,
     NO_GBUFFER,
     TWO_DEVICES,
-    UNRELIABLE,
+    UNCERTAIN,
     RowName,
     TableError,
 )
@@ -20,7 +21,9 @@ VERSION = ["dtype", "code_hash", "weights_hash"]  # one value of each per method
 REASONS = ("inference_ms", "sample_ms")  # the times whose notes give the reasons once
 FEW_METRICS = 2  # that a remark names one by one
 NAMED_SCENES = 8  # that a reason names one by one
+SAMPLE_TIMES = ("sample_ms", "sample_low_ms", "sample_high_ms")
 GIVEN_GBUFFER = "given: --gbuffer-ms"  # convention of G-buffer times that do not grow with samples
+MIXED_SIZES = 2  # factor in pixels from which on two sizes share no mean; films differ in shape
 REQUESTED = ", requested "  # in a reason, before the budget that a sentence names anyway
 
 
@@ -77,12 +80,16 @@ def split_by_device(rows: pd.DataFrame) -> dict[str, pd.DataFrame]:
     """The rows of each device, by device name; a name is empty if no row has a device.
 
     The cost per sample belongs to the scene: its rows name the machine that rendered, and are
-    in every part.
+    in every part. So are images made elsewhere, whose scores need no device and whose times are
+    claims.
     """
-    devices = sorted(set(rows.loc[rows["metric"] != "sample_ms", "device"]) - {""})
+    is_everywhere = (rows["metric"].isin(SAMPLE_TIMES)) | _is_from_elsewhere(rows)
+    devices = sorted(set(rows.loc[~is_everywhere, "device"]) - {""})
+    if not devices:
+        devices = sorted(set(rows.loc[_is_from_elsewhere(rows), "device"]) - {""})[:1]
     if len(devices) < 2:
         return {(devices or [""])[0]: rows}
-    return {name: rows[~rows["device"].isin(set(devices) - {name})] for name in devices}
+    return {name: rows[(rows["device"] == name) | is_everywhere] for name in devices}
 
 
 def select_device(results: pd.DataFrame, device: str) -> tuple[pd.DataFrame, str]:
@@ -124,6 +131,7 @@ def check_comparable(rows: pd.DataFrame) -> None:
         )
     measured = rows[rows["value"].notna() & (rows["metric"] != "sample_ms")]
     _check_presets(measured)
+    _check_sizes(measured)
     _check_versions(measured)
     cost_source(rows)
 
@@ -152,6 +160,21 @@ def _check_presets(measured: pd.DataFrame) -> None:
                 f"({', '.join(presets)}), which are different images; measure each preset into a "
                 "folder of its own (rlbench run --out FOLDER)"
             )
+
+
+def _check_sizes(measured: pd.DataFrame) -> None:
+    """Raise ReportError for sizes whose numbers of pixels differ by a factor of MIXED_SIZES."""
+    sizes = sorted(set(measured["size"]) - {""}, key=_count_pixels)
+    if sizes and _count_pixels(sizes[-1]) >= MIXED_SIZES * _count_pixels(sizes[0]):
+        raise ReportError(
+            f"the results mix images of {' and '.join((sizes[0], sizes[-1]))} pixels, whose scores "
+            "have no common mean; measure each size into a folder of its own (rlbench run --size "
+            "WIDTHxHEIGHT --out FOLDER)"
+        )
+
+
+def _count_pixels(size: str) -> int:
+    return math.prod(map(int, size.split("x")))
 
 
 def _check_versions(measured: pd.DataFrame) -> None:
@@ -203,7 +226,7 @@ def remarks(rows: pd.DataFrame) -> list[str]:
 
     A note on many metrics names their number.
     """
-    is_about_times = rows["note"].str.startswith((UNRELIABLE, TWO_DEVICES))
+    is_about_times = rows["note"].str.startswith((UNCERTAIN, TWO_DEVICES))
     noted = rows[rows["value"].notna() & (rows["note"] != "") & ~is_about_times]
     lines = []
     for (method, note), group in noted.groupby(["method", "note"]):
@@ -214,22 +237,16 @@ def remarks(rows: pd.DataFrame) -> list[str]:
     return sorted(lines)
 
 
-def unreliable_rows(rows: pd.DataFrame) -> pd.DataFrame:
-    """The rows of times that failed their test.
+def uncertain_times(rows: pd.DataFrame) -> list[str]:
+    """Which times have a wide interval and why, one sentence for each part of a frame and reason.
 
-    Percentiles have the note of their mean. Alone they have it where the mean was published.
+    Parts are inference and samples; a frame's time has their reasons.
     """
-    is_mean = (rows["unit"] == "ms") & ~rows["metric"].str.contains(r"_p\d+_ms$")
-    return rows[is_mean & rows["note"].str.startswith(UNRELIABLE)]
-
-
-def unreliable_times(rows: pd.DataFrame) -> list[str]:
-    """Which times must not be believed and why, one sentence for each method and reason."""
-    marked = unreliable_rows(rows)
+    marked = rows[rows["metric"].isin(REASONS) & rows["note"].str.startswith(UNCERTAIN)]
+    reasons = marked["note"].map(lambda note: note.removeprefix(UNCERTAIN).partition(" (")[0])
     lines = []
-    for (metric, note), group in marked[marked["metric"].isin(REASONS)].groupby(["metric", "note"]):
+    for (metric, reason), group in marked.groupby(["metric", reasons.str.strip()]):
         methods, scenes = (", ".join(sorted(set(group[name]))) for name in ("method", "scene"))
-        reason = str(note).removeprefix(UNRELIABLE).strip()
         lines.append(f"{metric} of {methods} on {scenes} at {_budgets(group)} spp: {reason}")
     return sorted(lines)
 

@@ -17,8 +17,7 @@ from reports.analysis.rows import (
     remarks,
     skip_reasons,
     split_by_device,
-    unreliable_rows,
-    unreliable_times,
+    uncertain_times,
 )
 from rlbench.benchmark.results import CLOCK_PREFIX, COUNT_PREFIX, EVENT_PREFIX, NOISE_CEILING
 
@@ -26,7 +25,11 @@ HEADLINE = ["psnr", "psnr_debiased"]  # metrics that come first
 GROUP = ["method", "scene", "target_spp"]
 FRAME_PARTS = ["gbuffer_ms", "plan_ms", "allocate_ms", "sampling_ms", "denoise_ms"]  # of frame_ms
 INFERENCE = ["plan_ms", "allocate_ms", "denoise_ms"]
+ENDS = ("low", "high")  # of the interval of a time
 TIMES = [*FRAME_PARTS, "inference_p95_ms"]
+INTERVALS = [
+    f"{part.removesuffix('_ms')}_{end}_ms" for part in (*FRAME_PARTS, "inference") for end in ENDS
+]
 LATE_SHARE = 0.05  # of the frames, where the deadline is the p95 of the frame time
 CELL = ["method", "clip", "target_spp", "seed", "device", "frame"]
 
@@ -48,15 +51,12 @@ def keep_first_frames(rows: pd.DataFrame) -> pd.DataFrame:
 def mean_over_scenes(per_scene: pd.DataFrame) -> pd.DataFrame:
     """Mean over scenes of each method and budget that has every scene of the table.
 
-    `per_scene` is `Scores.points` or `Scores.scene_means`. A time that one scene lacks is nan; a
-    time that is unreliable on one scene is unreliable.
+    `per_scene` is `Scores.points` or `Scores.scene_means`. A time that one scene lacks is nan.
     """
     scenes = per_scene["scene"].nunique()
     groups = per_scene.groupby(["method", "target_spp"])
     numbers = per_scene.select_dtypes("number").columns.drop("target_spp")
-    flags = per_scene.select_dtypes("bool").columns
     means = groups[list(numbers)].sum(min_count=scenes) / scenes  # nan where a scene has none
-    means = means.join(groups[list(flags)].any())
     is_complete = groups["scene"].nunique() == scenes
     return pd.DataFrame(means[is_complete].reset_index())
 
@@ -133,14 +133,16 @@ class Scores:
         """Score, drawn samples and each part of the frame time, per method, scene and budget.
 
         Columns method, scene, target_spp, value, mean_spp, gbuffer_ms, plan_ms, allocate_ms,
-        sampling_ms, denoise_ms, inference_p95_ms, sample_ms, inference_ms, frame_ms, unreliable;
-        inference = plan + allocate + denoise, and frame = gbuffer + inference + sampling. Times
-        that were not measured are nan. `unreliable` marks times that failed their test.
+        sampling_ms, denoise_ms, inference_p95_ms, sample_ms, inference_ms, frame_ms; inference =
+        plan + allocate + denoise, and frame = gbuffer + inference + sampling. Each PART_ms but the
+        p95 and sample_ms has the ends of its interval, PART_low_ms and PART_high_ms: the time
+        itself where it has none. Times that were not measured are nan.
         """
         spp = self.measured.groupby(GROUP)["mean_spp"].mean().reset_index()
         points = self.scene_means.merge(spp, on=GROUP, how="left")
-        timed = self.rows[self.rows["metric"].isin(TIMES)]
-        times = timed.pivot_table("value", GROUP, "metric").reindex(columns=TIMES).reset_index()
+        timed = self.rows[self.rows["metric"].isin([*TIMES, *INTERVALS])]
+        times = timed.pivot_table("value", GROUP, "metric")
+        times = times.reindex(columns=[*TIMES, *INTERVALS]).reset_index()
         points = points.merge(times, on=GROUP, how="left")
         points = points.merge(self._sample_ms, on=["method", "scene"], how="left")
         # images made elsewhere have no sampling time of their own
@@ -149,14 +151,19 @@ class Scores:
         points["sampling_ms"] = points["sampling_ms"].mask(is_claimed, charged)
         points["inference_ms"] = points[INFERENCE].sum(axis=1, skipna=False)
         points["frame_ms"] = points[FRAME_PARTS].sum(axis=1, skipna=False)
-        marked = unreliable_rows(self.rows)[GROUP].drop_duplicates().assign(unreliable=True)
-        merged = points.merge(marked, on=GROUP, how="left")
-        return merged.assign(unreliable=merged["unreliable"].eq(True))
+        for part in (*FRAME_PARTS, "inference_ms"):
+            for end in ENDS:
+                name = f"{part.removesuffix('_ms')}_{end}_ms"
+                points[name] = points[name].fillna(points[part])
+        for end in ENDS:
+            parts = [f"{part}_{end}_ms" for part in ("gbuffer", "inference", "sampling")]
+            points[f"frame_{end}_ms"] = points[parts].sum(axis=1, skipna=False)
+        return points
 
     @cached_property
-    def unreliable_times(self) -> list[str]:
-        """Which times must not be believed and why, one sentence for each method and reason."""
-        return unreliable_times(self.rows)
+    def uncertain_times(self) -> list[str]:
+        """Which times have a wide interval and why, one sentence for each part and reason."""
+        return uncertain_times(self.rows)
 
     @cached_property
     def device_mixes(self) -> dict[str, list[str]]:

@@ -29,17 +29,18 @@ def write_figure(
             files = save_figure(draw(), folder, name)
     if table is not None:
         files.append(folder / f"{name}.csv")
-        table.to_csv(files[-1], index=False)
+        with finished_file(files[-1]) as unfinished:
+            table.to_csv(unfinished, index=False)
     return files
 
 
 def save_figure(figure: Figure, folder: Path, name: str) -> list[Path]:
     """Write the figure as PNG at 150 dpi, PDF and SVG; equal figures give equal files."""
-    folder.mkdir(parents=True, exist_ok=True)
     undated = {"png": {}, "pdf": {"CreationDate": None}, "svg": {"Date": None}}
     files = [folder / f"{name}.{suffix}" for suffix in undated]
     for file, metadata in zip(files, undated.values(), strict=True):
-        figure.savefig(file, dpi=150, metadata=metadata)
+        with finished_file(file) as unfinished:
+            figure.savefig(unfinished, dpi=150, metadata=metadata)
     return files
 
 
@@ -77,8 +78,8 @@ def drawn_png(file: Path, size: tuple[float, float], dpi: float = 150) -> Iterat
     with mpl.rc_context(RC):
         figure = Figure(figsize=size, layout="constrained")
         yield figure
-        file.parent.mkdir(parents=True, exist_ok=True)
-        figure.savefig(file, dpi=dpi, metadata={})
+        with finished_file(file) as unfinished:
+            figure.savefig(unfinished, dpi=dpi, metadata={})
 
 
 def folder_argument(module: str, description: str) -> Path:

@@ -76,9 +76,9 @@ class _Column:
 
     @property
     def heading(self) -> str:
-        text = _escape(self.title)
+        text = escape(self.title)
         if self.has_suffix and self.beside:
-            return rf"{{{text}}} & {{\scriptsize {_escape(self.beside)}}}"
+            return rf"{{{text}}} & {{\scriptsize {escape(self.beside)}}}"
         if self.has_suffix:
             return rf"\multicolumn{{2}}{{c}}{{{text}}}"
         return text if self.is_text else f"{{{text}}}"
@@ -87,13 +87,13 @@ class _Column:
         text = self.cells[row]
         bold = r"\bfseries " * isinstance(text, Bold)
         if self.is_text:
-            return bold + _escape(text)
+            return bold + escape(text)
         if text in NOTHING:
             return "{--}" * bool(text) + " & " * self.has_suffix
         match = NUMBER.fullmatch(text)
         assert match
         end = match.start(4)
-        suffix = rf" & {{\scriptsize {_escape(text[end:].strip())}}}"
+        suffix = rf" & {{\scriptsize {escape(text[end:].strip())}}}"
         return f"{bold}{text[:end]}" + suffix * self.has_suffix
 
 
@@ -117,16 +117,16 @@ def _float(
 ) -> str:
     """A table with a caption of one sentence, and below it how to read it."""
     lines = [
-        [_escape(name), *(column.cell(rows.start + i) for column in columns)]
+        [escape(name), *(column.cell(rows.start + i) for column in columns)]
         for i, name in enumerate(names)
     ]
-    heading = [_escape(title), *(column.heading for column in columns)]
+    heading = [escape(title), *(column.heading for column in columns)]
     specification = "l" + "".join(column.specification for column in columns)
     return "\n".join(
         [
             r"\begin{table}",
             r"\centering\small",
-            rf"\caption{{{_escape(caption)}}}",
+            rf"\caption{{{escape(caption)}}}",
             rf"\begin{{tabular}}{{{specification}}}",
             r"\toprule",
             " & ".join(heading) + r" \\",
@@ -135,7 +135,7 @@ def _float(
             r"\bottomrule",
             r"\end{tabular}",
             *(
-                [rf"\par\smallskip\parbox{{\textwidth}}{{\footnotesize {_escape(below)}}}"]
+                [rf"\par\smallskip\parbox{{\textwidth}}{{\footnotesize {escape(below)}}}"]
                 * bool(below)
             ),
             r"\end{table}",
@@ -144,5 +144,7 @@ def _float(
     )
 
 
-def _escape(text: str) -> str:
-    return "".join(ESCAPES.get(c, c) for c in text).replace("+-", r"$\pm$")
+def escape(text: str) -> str:
+    """Text that LaTeX prints as it is, on one line; characters that do not print are left out."""
+    printed = (c for c in " ".join(text.split()) if c.isprintable())
+    return "".join(ESCAPES.get(c, c) for c in printed).replace("+-", r"$\pm$")

@@ -10,9 +10,9 @@ from typing import TYPE_CHECKING
 import pandas as pd
 
 from reports.analysis.scores import Scores, scores_by_device
-from reports.layout.files import slug, write_figure
-from reports.layout.latex import PREAMBLE, to_latex
-from reports.layout.tables import Table, to_markdown
+from reports.layout.files import finished_file, slug, write_figure
+from reports.layout.latex import PREAMBLE, escape, to_latex
+from reports.layout.tables import Table, one_line, to_markdown
 from rlbench.benchmark.results import MissingRowsError
 
 if TYPE_CHECKING:
@@ -83,23 +83,26 @@ def write_page(
     The title names the clips of `results`, the last line of the page its runs. A note that tables
     share is printed once. Rows of the CSV have a column with their device.
     """
-    parts, floats = [f"# {title}: {describe_clips(results)}\n"], [PREAMBLE]
+    parts, floats = [f"# {title}: {one_line(describe_clips(results))}\n"], [PREAMBLE]
     printed: set[str] = set()  # notes, in LaTeX
     for section in sections:
         notes = dict.fromkeys(table.note for table in section.tables if table.note)
-        parts += [f"## {section.device or 'Unnamed device'}\n", *(f"{note}\n" for note in notes)]
+        parts += [f"## {one_line(section.device) or 'Unnamed device'}\n"]
+        parts += [f"{one_line(note)}\n" for note in notes]
         parts += [*map(to_markdown, section.tables), _format_lists(section.lists)]
-        floats += [f"% {section.device}\n"]
+        floats += [f"% {escape(section.device)}\n"]
         for table in section.tables:
             floats.append(to_latex(table, with_note=table.note not in printed))
             printed.add(table.note)
-    parts += [f"Runs: {', '.join(sorted(set(results['run_id'])))}\n", *_describe_looks(results)]
+    runs = one_line(", ".join(sorted(set(results["run_id"]))))
+    parts += [f"Runs: {runs}\n", *_describe_looks(results)]
     records = [section.records.assign(device=section.device) for section in sections]
-    folder.mkdir(parents=True, exist_ok=True)
-    files = [folder / f"{name}.{suffix}" for suffix in ("md", "csv", "tex")]
-    files[0].write_text("\n".join(parts), encoding="utf-8")
-    pd.concat(records or [pd.DataFrame()]).to_csv(files[1], index=False)
-    files[2].write_text("\n".join(floats), encoding="utf-8")
+    numbers: str = pd.concat(records or [pd.DataFrame()]).to_csv(index=False)
+    texts = {"md": "\n".join(parts), "csv": numbers, "tex": "\n".join(floats)}
+    files = [folder / f"{name}.{suffix}" for suffix in texts]
+    for file, text in zip(files, texts.values(), strict=True):
+        with finished_file(file) as unfinished:
+            unfinished.write_text(text, encoding="utf-8")
     return files
 
 
@@ -126,14 +129,16 @@ def _describe_looks(results: pd.DataFrame) -> list[str]:
 
 def _format_lists(lists: Mapping[str, Sequence[str]]) -> str:
     sections = [
-        f"### {title}\n\n{_format_list(lines)}\n" for title, lines in lists.items() if lines
+        f"### {one_line(title)}\n\n{_format_list(lines)}\n"
+        for title, lines in lists.items()
+        if lines
     ]
     return "\n".join(sections)
 
 
 def _format_list(lines: Sequence[str]) -> str:
     """The lines; of many, the number, and the lines folded below it."""
-    text = "\n".join(f"- {line}" for line in lines)
+    text = "\n".join(f"- {one_line(line)}" for line in lines)
     if len(lines) <= MAX_LINES:
         return text
     summary = f"<summary>{len(lines)} entries</summary>"

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Callable, Hashable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -12,13 +13,15 @@ import pandas as pd
 from reports.analysis.differences import ALL_SCENES, LEADS, TRAILS, VERDICT_NOTE
 from reports.analysis.rows import methods_from_elsewhere, nearest_to_one
 from reports.analysis.scores import Scores
+from rlbench.benchmark.results import WIDE, interval_columns, mark_uncertainty, uncertainty
 
 Record = Mapping[Hashable, Any]
 Rows = tuple[tuple[str, ...], ...]
-UNRELIABLE_MARK = "?"  # after a time
-UNRELIABLE_MEANING = (
-    f"{UNRELIABLE_MARK}: an unreliable time, see the list below and rlbench run --retime"
+UNCERTAIN_MEANING = (
+    "±: how far a quiet machine's time may be from it, where that is more than "
+    f"{100 * WIDE:.0f} %; see the list below and rlbench run --retime uncertain"
 )
+CLAIMED_MARK = "*"  # after a time that is claimed of images made elsewhere
 SCORE_NAMES = {
     "psnr": "PSNR",
     "psnr_debiased": "PSNR, debiased",
@@ -37,6 +40,7 @@ SCORE_NOTE = (
     "Methods are in the order of their scores at the budget nearest to 1 spp that most have. Bold "
     f"is best at its budget; others are compared with it. {VERDICT_NOTE}"
 )
+HTML = re.compile(r"<(?=[A-Za-z/!?])")  # the beginning of a tag or of a comment
 DIGITS = 3  # significant ones, of the median of a table without a unit
 MAX_DECIMALS = 6
 
@@ -84,13 +88,21 @@ def format_number(value: float, number_format: str) -> str:
     return "-" if pd.isna(value) else format(value, number_format)
 
 
-def format_ms(ms: float, unreliable: bool, decimals: int = 1, sign: str = "") -> str:
-    """A time in milliseconds, marked if it is unreliable; `-` without one.
+def uncertainty_of(row: Record, part: str = "frame") -> float:
+    """The `uncertainty` of a time of `Scores.points` or `Scores.overall`; 0 without an interval."""
+    return uncertainty(*(float(row[column]) for column in interval_columns(part)))
 
-    >>> format_ms(3.14, unreliable=True), format_ms(3.14, unreliable=False, sign="+")
-    ('3.1?', '+3.1')
+
+def format_ms(row: Record, part: str = "frame", decimals: int = 1) -> str:
+    """A time of `Scores.points` in milliseconds, with its uncertainty where that is large.
+
+    `-` without a time.
+
+    >>> format_ms({"frame_ms": 3.14, "frame_low_ms": 2.5, "frame_high_ms": 3.5})
+    '3.1 ±26 %'
     """
-    return "-" if pd.isna(ms) else f"{ms:{sign}.{decimals}f}{UNRELIABLE_MARK * unreliable}"
+    ms = row[f"{part}_ms"]
+    return "-" if pd.isna(ms) else f"{ms:.{decimals}f}{mark_uncertainty(uncertainty_of(row, part))}"
 
 
 def pivot(
@@ -142,7 +154,7 @@ def score_table(scores: Scores, rank: pd.DataFrame, caption: str = "", subject: 
     order = rank_rows(rank, "mean", scores.direction)
     header, rows = pivot(rank, lambda row: _format_score(row, number), order)
     scenes = set(rank["scene"]) - {ALL_SCENES}
-    title = (subject or scores.metric) + f" [{unit}]" * bool(unit)
+    title = (subject or score_name(scores.metric)) + f" [{unit}]" * bool(unit)
     title += f", {scenes.pop() if scenes else 'mean over scenes'}"
     caption += RULES.get(scores.direction, "Not ranked.")
     if claimed := [m for m in methods_from_elsewhere(scores.rows) if m in order]:
@@ -173,9 +185,8 @@ def _number_format(unit: str, values: pd.Series[float]) -> Callable[[float], str
 def to_markdown(table: Table) -> str:
     """The table in GitHub's Markdown, its title as a heading and its caption as a paragraph."""
     header, *rows = ([escape_bars(cell) for cell in row] for row in (table.header, *table.rows))
-    return "\n\n".join(
-        filter(None, [f"### {table.title}", table.caption, pipe_table(header, rows)])
-    )
+    texts = [f"### {one_line(table.title)}", one_line(table.caption), pipe_table(header, rows)]
+    return "\n\n".join(filter(None, texts))
 
 
 def pipe_table(header: Sequence[str], rows: Iterable[Sequence[str]], numbers: bool = True) -> str:
@@ -187,7 +198,16 @@ def pipe_table(header: Sequence[str], rows: Iterable[Sequence[str]], numbers: bo
     return "".join("| " + " | ".join(line) + " |\n" for line in (header, rule, *rows))
 
 
+def one_line(text: str) -> str:
+    """Text of the results for Markdown: on one line, and without HTML or links that they bring.
+
+    >>> one_line("CPU\\n# <script> [x](http://y)")
+    'CPU # &lt;script> [x]\\\\(http://y)'
+    """
+    return HTML.sub("&lt;", " ".join(text.split())).replace("](", "]\\(")
+
+
 def escape_bars(cell: str) -> str:
     """The cell for a table of pipes; bold if it is `Bold`."""
-    text = cell.replace("|", "\\|")
+    text = one_line(cell).replace("|", "\\|")
     return f"**{text}**" if isinstance(cell, Bold) else text

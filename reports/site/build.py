@@ -8,7 +8,7 @@ from importlib.resources import files
 from itertools import groupby
 from typing import TYPE_CHECKING, Any
 
-from reports.layout.tables import UNRELIABLE_MARK, pipe_table
+from reports.layout.tables import pipe_table
 from reports.site.markdown import escape, front_matter, link, method_path
 from reports.site.pages import (
     board_link,
@@ -151,7 +151,6 @@ def leaderboard_data(scores: Sequence[PresetScores], methods: Mapping[str, Metho
     names = sorted({name for each in scores for name in each.methods})
     data = {
         "devices": [{"name": each.scores.device, "table": each.table} for each in scores],
-        "unreliable_mark": UNRELIABLE_MARK,
         "provenance": {n: p for each in scores for n, p in provenance(each.scores.rows).items()},
         "traits": {name: _traits(methods[name]) for name in names if name in methods},
         "maps": {},

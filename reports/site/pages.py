@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING
 from reports.layout.tables import pipe_table
 from reports.site.markdown import escape, facts, front_matter, link, method_path, unbroken
 from reports.site.preset_scores import PresetScores
+from rlbench.benchmark.results import mark_uncertainty
 
 if TYPE_CHECKING:
     from rlbench.benchmark.listing import MethodFacts, SceneFacts, TakeFacts
@@ -103,7 +104,7 @@ def _cost(name: str, scores: Sequence[PresetScores]) -> str:
         ]
         if timed:
             _, spp, record = min(timed, key=lambda item: item[0])
-            mark = "?" if record["unreliable"] else ""
+            mark = mark_uncertainty(record["inference_uncertainty"])
             sizes = ", ".join(sorted(set(each.scores.rows["size"]) - {""}))
             return (
                 f"inference {record['inference_ms']:.3g}{mark} ms a frame at {spp:g} spp, {sizes}, "

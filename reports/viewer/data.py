@@ -20,10 +20,11 @@ from reports.analysis.differences import ALL_SCENES, correct_by_holm, rank_metho
 from reports.analysis.intervals import LEVEL
 from reports.analysis.rows import remarks, skip_reasons
 from reports.analysis.scores import Scores, metrics_with_values
-from reports.layout.tables import score_name
+from reports.layout.tables import score_name, uncertainty_of
 
 KEYS = ["method", "scene", "target_spp"]
-TIMES = ["inference_ms", "frame_ms", "mean_spp", "unreliable"]
+TIMES = ["inference_ms", "frame_ms", "mean_spp"]
+DOUBTS = ["inference_uncertainty", "frame_uncertainty"]
 SHOWN = ["mean", "difference", "low", "high", "best", "verdict", "mark"]
 RECORDED = ("device", "dtype", "code_hash", "weights_hash", "config", "size", "preset", "run_id")
 
@@ -32,7 +33,7 @@ def decision_data(rows: pd.DataFrame, device: str) -> list[dict[str, Any]]:
     """For each metric that ranks methods: its curves over all scenes, and over each scene.
 
     `rows` are those of one device. A curve has `spp` and `fixed_ms` [budgets], `units` [budgets
-    units], `samples` [budgets], `gbuffer_ms`, `gbuffer_samples` and `unreliable` [budgets], as in
+    units], `samples`, `low_ms` and `high_ms` [budgets], `gbuffer_ms` and `gbuffer_samples`, as in
     `reports.analysis.curves`; those that do not `compete` are not ranked.
     """
     described = []
@@ -75,29 +76,28 @@ def student_factors(units: int) -> list[float]:
 def _scope(name: str, scores: Scores) -> dict[str, Any]:
     curves = curves_of(scores)
     competing = denoisers(curves)
-    points = scores.points
-    marked = points[points["unreliable"]]
-    unreliable = {(str(m), float(s)) for m, s in marked[["method", "target_spp"]].to_numpy()}
     return {
         "name": name,
         "unit": "scenes" if scores.scene_means["scene"].nunique() > 1 else "clips",
         "sample_ms": measured_sample_ms(scores),
-        "curves": [_curve(curve, unreliable, curve in competing) for curve in curves],
+        "uncertain_times": scores.uncertain_times,
+        "curves": [_curve(curve, curve in competing) for curve in curves],
         "missing": methods_without_curve(scores, curves),
     }
 
 
-def _curve(curve: Curve, unreliable: set[tuple[str, float]], is_competing: bool) -> dict[str, Any]:
+def _curve(curve: Curve, is_competing: bool) -> dict[str, Any]:
     return {
         "method": curve.method,
         "spp": curve.spp.tolist(),
         "units": curve.units.tolist(),
         "fixed_ms": curve.fixed_ms.tolist(),
+        "low_ms": curve.low_ms.tolist(),
+        "high_ms": curve.high_ms.tolist(),
         "samples": curve.samples.tolist(),
         "gbuffer_ms": curve.gbuffer_ms,
         "gbuffer_samples": curve.gbuffer_samples,
         "competes": is_competing,
-        "unreliable": [(curve.method, float(spp)) in unreliable for spp in curve.spp],
     }
 
 
@@ -108,20 +108,24 @@ def table_data(rows: pd.DataFrame, device: str) -> dict[str, Any]:
     paired difference to the best with its interval, verdict, and times.
     """
     metrics = []
-    for metric in metrics_with_values(rows):
-        scores = Scores(rows, metric, device)
+    every = [Scores(rows, metric, device) for metric in metrics_with_values(rows)]
+    ranks = correct_by_holm(pd.concat(map(rank_methods, every))) if every else pd.DataFrame()
+    for scores in every:
         times = pd.concat([scores.points, scores.overall.assign(scene=ALL_SCENES)])
-        groups = rank_methods(scores).groupby(["scene", "target_spp"])
-        ranked = pd.concat(correct_by_holm(group) for _, group in groups)
-        table = ranked.merge(times[[*KEYS, *TIMES]], on=KEYS, how="left")
+        for part in ("inference", "frame"):
+            times[f"{part}_uncertainty"] = [
+                uncertainty_of(row, part) for row in times.to_dict("records")
+            ]
+        ranked = ranks[ranks["metric"] == scores.metric]
+        table = ranked.merge(times[[*KEYS, *TIMES, *DOUBTS]], on=KEYS, how="left")
         metrics.append(
             {
-                "metric": metric,
-                "title": score_name(metric),
+                "metric": scores.metric,
+                "title": score_name(scores.metric),
                 "unit": scores.column_text("unit"),
                 "direction": scores.direction,
                 "convention": scores.convention,
-                "records": table[[*KEYS, *SHOWN, *TIMES]].to_dict("records"),
+                "records": table[[*KEYS, *SHOWN, *TIMES, *DOUBTS]].to_dict("records"),
             }
         )
     return {"metrics": metrics, "notes": [*skip_reasons(rows), *remarks(rows)]}

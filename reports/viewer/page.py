@@ -16,14 +16,14 @@ import matplotlib as mpl
 import numpy as np
 import pandas as pd
 
-from reports.analysis.differences import TIE_DB
-from reports.analysis.rows import check_comparable, split_by_device
+from reports.analysis.differences import TIE_DB, VERDICT_NOTE
+from reports.analysis.rows import check_comparable, methods_from_elsewhere, split_by_device
 from reports.layout.files import finished_file
 from reports.layout.page import describe_clips
 from reports.layout.style import line_styles
-from reports.layout.tables import UNRELIABLE_MARK
 from reports.viewer.data import decision_data, frame_scores, provenance, student_factors, table_data
 from reports.viewer.pictures import MAX_METHODS, pack_clips
+from rlbench.benchmark.results import WIDE
 
 if TYPE_CHECKING:
     from rlbench.benchmark.shown_clips import ShownClip
@@ -62,7 +62,9 @@ def write(
         ],
         "student": student_factors(max(results["scene"].nunique(), results["clip"].nunique())),
         "tie_db": TIE_DB,
-        "unreliable_mark": UNRELIABLE_MARK,
+        "wide": WIDE,
+        "claimed": methods_from_elsewhere(results),
+        "verdict_note": VERDICT_NOTE,
         "frames": frame_scores(results, [clip.name for clip in chosen]),
         "provenance": provenance(results),
         "traits": traits or {},
@@ -145,15 +147,18 @@ def _render(data: Mapping[str, Any], clips: Sequence[str], error: float) -> str:
         style=sources["style.css"],
         imports=to_json({"imports": modules}),
         data=to_json({**data, "relative_error": error}),
-        clips=[text.replace("</", "<\\/") for text in clips],
+        clips=[_in_script(text) for text in clips],
     )
 
 
 def to_json(document: Any) -> str:
     """JSON that may stand in a script element; numbers that are not finite are null."""
-    return json.dumps(_finite(document), separators=(",", ":"), allow_nan=False).replace(
-        "</", "<\\/"
-    )
+    return _in_script(json.dumps(_finite(document), separators=(",", ":"), allow_nan=False))
+
+
+def _in_script(text: str) -> str:
+    """JSON without `<`, which ends a script element, or begins a comment in it."""
+    return text.replace("<", "\\u003c")
 
 
 def _finite(value: Any) -> Any:

@@ -15,7 +15,7 @@ from __future__ import annotations
 import warnings
 from collections.abc import Collection, Iterable
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Literal
 
 import torch
 
@@ -50,6 +50,7 @@ def run(
     spp: Iterable[float] = DEFAULT_SPP,
     scenes: Iterable[str] = (),
     preset: str = "mini",
+    size: tuple[int, int] | None = None,
     takes: str | None = None,
     clips: Iterable[Path | str] | None = None,
     pool: str = "stored",
@@ -63,7 +64,7 @@ def run(
     backend: str = EAGER,
     skip_tiles: bool = False,
     limit_frames: int | None = None,
-    retime: bool = False,
+    retime: Literal["uncertain", "all"] | None = None,
     scores_only: bool = False,
     keep_images: bool = False,
     out: Path | str = RESULTS,
@@ -73,9 +74,9 @@ def run(
     """Score and time methods on clips; returns the rows of this call, one number a row.
 
     `methods` is one name or several, or patterns such as `ours`, `oidn/*` or `all`; `spp` are
-    budgets in samples per pixel. Clips are those of a `preset`, all or the given `scenes` and
-    `takes` ("main", "all"), and are rendered where they are missing; or those in the folders
-    `clips`.
+    budgets in samples per pixel. Clips are those of a `preset`, at its size or at `size` pixels
+    (height, width), all or the given `scenes` and `takes` ("main", "all"), and are rendered where
+    they are missing; or those in the folders `clips`.
     `weights` is the path of a file or "random", whose rows are named `METHOD@weights_label`; None
     takes the shipped weights, as do methods that are not among `weights_for`, if it names any.
     `backend` runs the networks: "eager" is PyTorch, "openvino" and
@@ -83,7 +84,8 @@ def run(
     where it is installed. `skip_tiles` keeps unchanged tiles of methods with a receptive field, for
     rows `METHOD@tiles`. `cost` is "measured", the name of a cost profile, or a TOML file.
     Results are kept in the folder `out`; cells that it holds already are not measured again.
-    `retime` measures the times of cells again whose scores are there, and no scores; `scores_only`
+    `retime` measures the times of cells again whose scores are there, and no scores: those that are
+    "uncertain", or "all"; `scores_only`
     measures no times, and a later call without it measures those that are missing. `keep_images`
     keeps the image of each frame in the folder `images` of `out`. `on_cell` is called with each
     finished cell.
@@ -102,6 +104,7 @@ def run(
             spp=spp,
             scenes=scenes,
             preset=preset,
+            size=size,
             takes=takes,
             clips=clips,
             pool=pool,
@@ -139,6 +142,7 @@ def plan_run(
     spp: Iterable[float] = DEFAULT_SPP,
     scenes: Iterable[str] = (),
     preset: str = "mini",
+    size: tuple[int, int] | None = None,
     takes: str | None = None,
     clips: Iterable[Path | str] | None = None,
     pool: str = "stored",
@@ -167,7 +171,7 @@ def plan_run(
     pool_kinds = {registry.get_variant(name).traits.pool for name in names}
     return RunPlan(
         methods=names,
-        clips=select_clips(clips, scenes, preset, takes, pool, pool_kinds, executor),
+        clips=select_clips(clips, scenes, preset, takes, pool, pool_kinds, executor, size),
         spp=budgets,
         seeds=tuple(seeds),
         device=target,
@@ -189,15 +193,19 @@ def render_clips(
     scenes: Iterable[str] = (),
     takes: str | None = None,
     seeds: Iterable[int] | None = None,
+    size: tuple[int, int] | None = None,
     executor: Executor = LOCAL,
 ) -> list[Path]:
     """Render the missing clips of a preset; returns the folders of all requested clips.
 
-    `seeds` are those of generated scenes (presets `train` and `unseen`). Open a folder with
+    `seeds` are those of generated scenes (presets `train` and `unseen`), `size` is the height and
+    width in pixels where it is not the preset's. Open a folder with
     `rlbench.open_clip`. Raises RlbenchError for an unknown preset, scene or take.
     """
     chosen = None if seeds is None else tuple(seeds)
-    return render_preset_clips(list(scenes), preset, seeds=chosen, takes=takes, executor=executor)
+    return render_preset_clips(
+        list(scenes), preset, seeds=chosen, takes=takes, executor=executor, size=size
+    )
 
 
 def report(
@@ -226,24 +234,27 @@ def select_clips(
     pool: str = "stored",
     pool_kinds: Collection[str] | None = None,
     executor: Executor = LOCAL,
+    size: tuple[int, int] | None = None,
 ) -> tuple[StoredSource, ...]:
     """The clips in the folders `clips`, or those of a preset, rendered where they are missing.
 
-    `scenes` selects by the name of a scene or a clip. Samples are those that are "stored", or come
-    from a "live" path tracer. Only the preset's pools of the given kinds are rendered; None renders
-    all. Raises RlbenchError where a selection is empty or contradictory.
+    `size` is the height and width in pixels of a preset's clips. `scenes` selects by the name of a
+    scene or a clip. Samples are those that are "stored", or come from a "live" path tracer. Only
+    the preset's pools of the given kinds are rendered; None renders all. Raises RlbenchError where
+    a selection is empty or contradictory.
     """
     selected = list(scenes)
     if pool not in POOLS:
         raise OptionError(f"no pool '{pool}'; available: {', '.join(POOLS)}")
     if clips is None:
         folders = render_preset_clips(
-            selected, preset, executor=executor, pool_kinds=pool_kinds, takes=takes
+            selected, preset, executor=executor, pool_kinds=pool_kinds, takes=takes, size=size
         )
         return tuple(open_source(folder, pool) for folder in folders)
-    if takes is not None:
+    if takes is not None or size is not None:
+        option = "--takes" if takes is not None else "--size"
         raise OptionError(
-            "--takes applies to preset scenes only. With --clips, select clips by name: "
+            f"{option} applies to preset scenes only. With --clips, select clips by name: "
             "--scenes NAME"
         )
     sources = [open_source(path, pool) for path in find_all_clips(clips)]

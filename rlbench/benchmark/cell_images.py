@@ -125,7 +125,7 @@ def write_images(results: Path, cell: CellId, images: CellImages) -> Path:
     All content reaches the disk before the folder has its name, so a folder with this name is
     complete even after a power failure.
     """
-    folder = images_folder(results, cell)
+    folder = paths.check_no_link(results, images_folder(results, cell))
     unfinished = folder.with_name(f".{folder.name}")
     shutil.rmtree(unfinished, ignore_errors=True)  # that a killed run left
     try:
@@ -160,7 +160,7 @@ def list_images(results: Path) -> list[KeptImages]:
 
 def drop_images(results: Path, cell: CellId) -> None:
     """Remove the images of a cell, if there are any; a kill leaves no folder that looks whole."""
-    folder = images_folder(results, cell)
+    folder = paths.check_no_link(results, images_folder(results, cell))
     (folder / RECORD).unlink(missing_ok=True)
     shutil.rmtree(folder, ignore_errors=True)
 

@@ -13,9 +13,7 @@ import statistics
 import time
 from collections import defaultdict
 from collections.abc import Callable
-from contextlib import suppress
 from dataclasses import dataclass, field
-from pathlib import Path
 from typing import NamedTuple
 
 import torch
@@ -25,12 +23,12 @@ from torch import Tensor
 from rlbench.frames import Frame, GBuffer, PoolWrapper, Samples
 from rlbench.method import Method, State
 from rlbench.sanitize import FrameInput, sanitize_frame
+from rlbench.system import load
+from rlbench.system.load import MIN_PROCESSOR_SHARE
 from rlbench.wrappers import MethodWrapper
 
 SETTLE_SECONDS = 0.01  # idle threads of TBB look for work for 1 to 5 ms
-SCHEDULER = Path("/proc/self/task")  # a folder for each thread, with its schedstat
 SLOWDOWN = 1.25  # times a quiet calibration; beyond it the machine is busy
-MIN_PROCESSOR_SHARE = 0.8  # of the processor time that its threads ask for, on a quiet machine
 REPEATS = 9  # runs of the kernel in one calibration
 SIDE = {"cpu": 256}  # of the kernel's matrices: about a millisecond
 ACCELERATOR_SIDE = 2048
@@ -50,17 +48,11 @@ class SystemClock:
 
     def processor_ms(self) -> float:
         """Processor time of this process, all threads together."""
-        return time.process_time() * 1e3
+        return load.processor_ms()
 
     def waiting_ms(self) -> float:
         """Time of all threads in the queue for a processor; nan but on Linux and processors."""
-        if self.device.type != "cpu" or not SCHEDULER.is_dir():
-            return math.nan
-        waited_ns = 0
-        for file in SCHEDULER.glob("*/schedstat"):
-            with suppress(OSError):  # of a thread that has just ended
-                waited_ns += int(file.read_text().split()[1])
-        return waited_ns / 1e6
+        return load.waiting_ms() if self.device.type == "cpu" else math.nan
 
     def context_switches(self) -> int:
         """Involuntary context switches of this process; 0 where the system does not count them."""
@@ -187,8 +179,8 @@ def timed_reader(stopwatch: Stopwatch) -> Callable[[Frame, frozenset[str]], Fram
     """`sanitize_frame` with a timed pool, to be passed to `rlbench.run_clip` as `read`."""
 
     def read(frame: Frame, inputs: frozenset[str]) -> FrameInput:
-        gbuffer, pool, repairs = sanitize_frame(frame, inputs)
-        return FrameInput(gbuffer, TimedPool(pool, stopwatch), repairs)
+        valid = sanitize_frame(frame, inputs)
+        return valid._replace(pool=TimedPool(valid.pool, stopwatch))
 
     return read
 
@@ -200,9 +192,14 @@ class Calibration(NamedTuple):
     processor_share: float  # time running / (running + waiting for a processor); nan: unknown
 
     def is_quiet(self, quiet_ms: float) -> bool:
-        """Was the machine as quiet as it is in this session, and ours alone?"""
+        """True if the machine was as quiet as it is in this session, and ours alone."""
         is_shared = self.processor_share < MIN_PROCESSOR_SHARE  # false for nan
         return self.ms <= SLOWDOWN * quiet_ms and not is_shared
+
+    def speed(self, quiet_ms: float) -> float:
+        """Share of the quiet machine's speed, by the kernel's time or its share of processors."""
+        is_known = not math.isnan(self.processor_share)
+        return min(self.processor_share if is_known else 1.0, quiet_ms / self.ms, 1.0)
 
 
 @dataclass(frozen=True)
@@ -227,8 +224,7 @@ class Calibrator:
             times.append(self.clock.wall_ms())
         ran, waited = self.clock.processor_ms() - ran, self.clock.waiting_ms() - waited
         runs = [after - before for before, after in zip(times, times[1:], strict=False)]
-        share = ran / (ran + waited) if ran + waited > 0 else math.nan
-        return Calibration(statistics.median(runs), share)
+        return Calibration(statistics.median(runs), load.running_share(ran, waited))
 
 
 def make_kernel(device: torch.device) -> Callable[[], object]:

@@ -147,7 +147,7 @@ def header_facts(header: Header) -> tuple[object, ...]:
 
 def scoring_content() -> str:
     """Names of the run's metrics, hash of their code and of `SCORING`, and package versions."""
-    metrics = registry.load_run_metrics()
+    metrics = registry.load_run_metrics() | registry.load_memory_metrics()
     hashed = registry.metrics_code_hash(metrics, SCORING)
     packages = sorted({name for metric in metrics.values() for name in metric.requires})
     return f"{list(metrics)} {hashed} {provenance.package_versions(packages)}"

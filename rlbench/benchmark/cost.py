@@ -8,20 +8,24 @@ published times of a renderer, and of methods, on a named machine.
 from __future__ import annotations
 
 import json
+import logging
 import math
 from collections.abc import Iterator, Mapping
-from dataclasses import MISSING, dataclass, field, fields, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from rlbench import registry
-from rlbench.benchmark.results import NO_GBUFFER, UNRELIABLE
+from rlbench.benchmark.results import NO_GBUFFER, UNCERTAIN, WIDE, uncertainty
 from rlbench.errors import RlbenchError
 from rlbench.registry.near_names import suggest
 from rlbench.system import code_hash, documents, paths, provenance
 
 if TYPE_CHECKING:
+    from rlbench.benchmark.clip_sources import StoredSource
     from rlbench.clips.header import Header
+
+_logger = logging.getLogger(__name__)
 
 MEASURED = "measured"  # the name of no profile: times of this machine
 PROFILES = Path(__file__).parent / "profiles"
@@ -30,7 +34,6 @@ PAGE = "docs/how-to/charge-your-renderer.md has one to copy"
 UNKNOWN_GBUFFER = (
     "not known, charged as 0: rlbench render --remeasure-sample-time measures it for presets"
 )
-MAX_SPREAD = 1.25  # p95 / p5 of the time of a sample; beyond it the machine was busy
 
 
 class CostError(RlbenchError, ValueError):
@@ -49,17 +52,17 @@ class ProfileTime(NamedTuple):
 class CostProfile:
     """Times on a named machine: of a full frame at 1 sample per pixel by scene, and of methods.
 
-    `inference_ms` is optional. Without it, inference is measured here, on another device than the
-    samples.
+    `default_ms` alone is a profile: it is then the time at the size of the clips. Without
+    `inference_ms`, inference is measured here, on another device than the samples.
     """
 
-    title: str
-    source: str
-    device: str
-    height: int  # pixels
-    width: int  # pixels
     default_ms: float  # for scenes that are not in scene_ms
-    scene_ms: Mapping[str, float]
+    title: str = ""
+    source: str = "a cost file"
+    device: str = "your renderer"
+    height: int = 0  # pixels; 0 where the times are those of the clips' size
+    width: int = 0  # pixels
+    scene_ms: Mapping[str, float] = field(default_factory=dict)
     inference_ms: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
     # by size, as in "720x720" (width x height), and method
 
@@ -69,10 +72,12 @@ class CostProfile:
         >>> profile("paper-2080ti").sample("city", 360, 720).ms
         17.25
         """
-        share = height * width / (self.height * self.width)
+        own = self.height * self.width
+        share = height * width / own if own else 1.0
         note = "" if scene in self.scene_ms else f"the profile's default, as it has no '{scene}'"
         ms = self.scene_ms.get(scene, self.default_ms) * share
-        return ProfileTime(ms, self._convention(f"{self.width}x{self.height}"), note)
+        size = f"{self.width}x{self.height}" if own else ""
+        return ProfileTime(ms, self._convention(size), note)
 
     def inference(self, method: str, height: int, width: int) -> ProfileTime | None:
         """The method's published inference time, or None; scaled from the nearest size it has.
@@ -92,7 +97,8 @@ class CostProfile:
         return ProfileTime(times[size] * pixels / _pixels(size), self._convention(size))
 
     def _convention(self, size: str) -> str:
-        return f"{self.device}, {self.source}, scaled by pixels from {size}"
+        how = f"scaled by pixels from {size}" if size else "at the size of the clip"
+        return f"{self.device}, {self.source}, {how}"
 
 
 def profiles() -> list[str]:
@@ -147,7 +153,9 @@ def write_profile(
 
 def _check(name: str, document: Mapping[str, Any]) -> None:
     """Raise CostError for missing and unknown keys, and for numbers that are no times or sizes."""
-    required = [each.name for each in fields(CostProfile) if each.default_factory is MISSING]
+    required = ["default_ms"]
+    if "inference_ms" in document or {"height", "width"} & document.keys():
+        required += ["height", "width"]
     missing = [key for key in required if key not in document]
     unknown = documents.unknown_keys(document, CostProfile)
     if missing or unknown:
@@ -215,6 +223,7 @@ class Cost:
     gbuffer_ms: float = 0.0  # 0 for a method that reads none, and where it is not known
     gbuffer_convention: str = NO_GBUFFER
     scatter: Scatter = FULL_FRAME  # what samples at adaptive counts cost more
+    interval: tuple[float, float] = (1.0, 1.0)  # of the time of a sample, relative to it
 
 
 def published(profile: CostProfile, header: Header, pool: str) -> Cost:
@@ -246,7 +255,14 @@ def measured(header: Header, machine: str, pool: str = "path") -> Cost:
     if header.device == machine and math.isfinite(known_ms):
         tracer = header.tracer_of_times
         convention += f", {tracer}" * bool(tracer)
-        return Cost(known_ms, convention, _spread_reason(header) or note, _device(tracer, machine))
+        low, high = _interval(header)
+        if is_uncertain(header):
+            note = (
+                f"{UNCERTAIN} a sample took {low * known_ms:.3g} to {high * known_ms:.3g} ms when "
+                "the clip was rendered"
+            )
+        device = _device(tracer, machine)
+        return Cost(known_ms, convention, note, device, interval=(low, high))
     reason = f"rendered on '{header.device}', not here, and "
     if header.scene not in registry.list_entries("scenes"):
         reason += (
@@ -298,15 +314,32 @@ def _device(tracer: str, machine: str) -> str:
     return provenance.machine().gpu if tracer.startswith("cuda") else machine
 
 
-def _spread_reason(header: Header) -> str:
-    """Why the time of a sample in a header must not be believed; empty if it may."""
-    if header.sample_p95_ms <= MAX_SPREAD * header.sample_p5_ms:  # both are 0 where unknown
-        return ""
-    return (
-        f"{UNRELIABLE} a sample took {header.sample_p5_ms:.3g} to {header.sample_p95_ms:.3g} ms "
-        "(p5 to p95) when the clip was rendered; measure it again with rlbench render "
-        "--remeasure-sample-time"
-    )
+def is_uncertain(header: Header) -> bool:
+    """True if the time of a sample in a header has a wide interval."""
+    ms = header.sample_ms
+    return uncertainty(ms, *(end * ms for end in _interval(header))) > WIDE
+
+
+def with_certain_sample(clip: StoredSource) -> StoredSource:
+    """The clip, after its time of a sample was measured again if it was uncertain, as far as here.
+
+    That of another machine, and of a scene that is not installed, stays; a warning says why.
+    """
+    if not is_uncertain(clip.header):
+        return clip
+    from rlbench.render.jobs.render_clips import remeasure_sample_ms
+
+    try:
+        remeasure_sample_ms(clip.folder)
+    except RlbenchError as error:
+        _logger.warning("the time of a sample of %s stays: %s", clip.header.name, error)
+    return replace(clip)  # which reads the header anew
+
+
+def _interval(header: Header) -> tuple[float, float]:
+    """The interval of a header's time of a sample, relative to it; (1, 1) where it is not known."""
+    ms, low, high = header.sample_ms, header.sample_p5_ms, header.sample_p95_ms
+    return (min(low / ms, 1.0), max(high / ms, 1.0)) if ms > 0 and high > 0 else (1.0, 1.0)
 
 
 def _traced_here(header: Header, machine: str, pool: str) -> tuple[float, str]:

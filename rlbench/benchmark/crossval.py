@@ -16,7 +16,7 @@ from rlbench.benchmark.clip_sources import StoredSource
 from rlbench.benchmark.run_plan import RunPlan, row_name
 from rlbench.benchmark.runner import ProgressCallbacks, RunSummary, measure
 from rlbench.render.jobs import render_clips
-from rlbench.render.presets import PRESETS
+from rlbench.render.presets import find_preset
 from rlbench.training import dataset
 from rlbench.training.dataset import TrainingSplit
 from rlbench.training.loop import TrainingRuns
@@ -70,7 +70,8 @@ def folds(preset: str, scenes: Sequence[str], names: Sequence[str]) -> list[Fold
     the preset lacks one of the scenes.
     """
     pools = {registry.get_variant(name).traits.pool for name in names}
-    preset_scenes = PRESETS[preset].scenes if preset in PRESETS else ()
+    known = find_preset(preset)
+    preset_scenes = known.scenes if known else ()
     return [
         Fold(
             scene,

@@ -24,7 +24,7 @@ from rlbench import registry
 from rlbench.benchmark import results
 from rlbench.benchmark.cell_images import KeptCell
 from rlbench.benchmark.cell_key import FAILED, CellId
-from rlbench.benchmark.results import WHOLE_CLIP, Row
+from rlbench.benchmark.results import UNFINISHED, WHOLE_CLIP, Row
 from rlbench.benchmark.scoring import (
     buffers_of_truth,
     compare_frame,
@@ -39,6 +39,7 @@ from rlbench.errors import OptionError
 from rlbench.run import FrameResult
 from rlbench.system import provenance
 from rlbench.system.folder_lock import locked_folder
+from rlbench.system.paths import atomic_write
 
 if TYPE_CHECKING:
     from metrics.comparison import Comparison
@@ -71,7 +72,11 @@ def evaluate(
     FolderInUseError where another process writes to `out`.
     """
     with locked_folder(out):
-        return _evaluate(folder, cells, metrics, out, on_cell)
+        with atomic_write(out / UNFINISHED) as file:
+            file.touch()
+        summary = _evaluate(folder, cells, metrics, out, on_cell)
+        (out / UNFINISHED).unlink()
+        return summary
 
 
 def _evaluate(

@@ -33,6 +33,7 @@ from rlbench.benchmark.loose_images import ENCODINGS, LooseImageError, read_line
 from rlbench.benchmark.results import IMAGES_PREFIX, Row
 from rlbench.benchmark.runner import CellStore
 from rlbench.benchmark.scoring import (
+    BLACK,
     add_counts,
     buffers_of_truth,
     count_rows,
@@ -114,6 +115,16 @@ def check_name(name: str) -> None:
         f"'{name}' is a method of this suite, whose rows are measured and not claimed; use "
         f"another name, such as {name}-theirs"
     )
+
+
+def check_budget(spp: float, clips: Sequence[StoredSource]) -> None:
+    """Raise ForeignImagesError for a budget that a clip has not the samples for."""
+    for clip in clips:
+        if spp > clip.header.pool_spp:
+            raise ForeignImagesError(
+                f"--spp {spp:g}: clip '{clip.header.name}' stores {clip.header.pool_spp} samples "
+                "per pixel, so no image was made of more of them. Give the number that was used"
+            )
 
 
 def find_foreign_images(
@@ -268,8 +279,10 @@ def _score(
 
     results = results_of_images(clip, _read_frames(claim, images))
     for result, scored in score_frames(template, metrics, results, header, truth, header.pool_spp):
-        rows += [replace(row, note=row.note or note) for row in scored]
+        rows += [replace(row, note="; ".join(filter(None, (note, row.note)))) for row in scored]
         remarks += _find_unusual(claim, images, result)
+        if any(row.note == BLACK for row in scored):
+            remarks.append(f"frame {result.frame.index}: {BLACK}")
         frames.append(KeptFrame.of(result))
         pixels = add_counts(pixels, result.samples.counts) if images.counts else pixels
         on_frame()

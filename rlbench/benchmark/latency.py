@@ -4,7 +4,8 @@
 few frames in turn, between calibrations, until its time is steady. A drift of the machine therefore
 meets all rows alike, and a busy phase is left out and repeated. Each row keeps one running clip, so
 that its frames have real states. The parts of a row are averages over the same frames, so that they
-add up.
+add up. On a machine that is never quiet the time is an estimate (`rlbench.system.load`), and its
+interval is wide.
 """
 
 from __future__ import annotations
@@ -19,7 +20,6 @@ from typing import NamedTuple, TypeVar
 import torch
 
 from rlbench.benchmark.clock import (
-    MIN_PROCESSOR_SHARE,
     Calibration,
     Calibrator,
     FrameTime,
@@ -34,6 +34,7 @@ from rlbench.frames import Clip
 from rlbench.method import Method
 from rlbench.run import run_clip
 from rlbench.system import provenance
+from rlbench.system.load import MIN_PROCESSOR_SHARE, estimate_quiet_ms, fastest_tenth
 from rlbench.system.process_settings import keep_freed_memory
 
 REPEATS = 10  # timed frames of a row, at least
@@ -46,7 +47,7 @@ WARM_UP = 2  # calibrations before the first that counts
 T = TypeVar("T")
 LEVEL = 0.95  # of the interval of the median
 TARGET = 0.02  # half width of the interval, relative to the median, at which measuring stops
-ACCEPTED = 0.05  # largest half width of a time that may be believed
+ACCEPTED = 0.05  # half width of an interval beyond which a row's frames vary too much
 FLOOR_MS = 0.05  # a half width that is small enough for any time
 
 
@@ -61,14 +62,14 @@ class TimedRow(NamedTuple):
 class PartTime(NamedTuple):
     """Time of a part of a frame, milliseconds."""
 
-    mean: float  # of the middle half of the frames by inference time
+    mean: float  # what a frame is charged, see `Timing.frames_used`
     p50: float  # of all frames
     p95: float
 
 
 @dataclass(frozen=True)
 class Timing:
-    """Times of one frame of a row, and how far they can be trusted."""
+    """Times of one frame of a row, and the interval in which they lie on a quiet machine."""
 
     clip: str  # name of the timed clip; clips that take the same time are timed once
     plan: PartTime
@@ -76,6 +77,9 @@ class Timing:
     denoise: PartTime
     inference: PartTime  # plan + allocate + denoise; so are the means
     sample_fetch: PartTime  # reading stored samples; not part of a frame's time
+    low: float  # of the interval of `inference.mean`, milliseconds
+    high: float
+    frames_used: str  # that the means are of, and what they were multiplied by
     frames: int  # that the times are of
     rounds: int  # that these frames come from
     half_width: float  # of the 95 % interval of the median inference, relative to it
@@ -84,7 +88,7 @@ class Timing:
     switches: float  # involuntary context switches per frame
     load_average: float  # when the session began
     threads: int  # of torch
-    unreliable: str = ""  # why the times must not be believed; empty if they may
+    disturbance: str = ""  # what other programs did, or that frames vary; empty if neither
 
 
 def time_methods(
@@ -130,37 +134,50 @@ def _frames(row: TimedRow, clock: SystemClock) -> Iterator[FrameTime]:
 
 
 def _summary(session: Session, track: Track, clip: str, load: float) -> Timing:
-    counted = session.select_quiet_visits(track)
-    least = session.limits.min_rounds
-    visits = counted if len(counted) >= least else track.visits
+    quiet, least = session.select_quiet_visits(track), session.limits.min_rounds
+    is_busy = len(quiet) < least
+    visits = track.visits if is_busy else quiet
     frames = sorted(
         (frame for visit in visits for frame in visit.frames), key=lambda frame: frame.inference
     )
-    middle, times = middle_half(frames), [frame.inference for frame in frames]
-    parts = {name: _part_time(name, frames, middle) for name in (*PARTS, "sample_fetch")}
-    inference = _part_time("inference", frames, middle)
+    times = [frame.inference for frame in frames]
+    median, half, speed = statistics.median(times), half_width(times), 1.0
+    counted, low, high = middle_half(frames), statistics.fmean(fastest_tenth(times)), median + half
+    used = "middle half"
+    if is_busy:
+        counted, speed = fastest_tenth(frames), session.mean_speed(visits)
+        _, low, high = estimate_quiet_ms(times, speed)
+        used = f"{speed:.2f} x the fastest tenth"
+    parts = {n: _part_time(n, frames, counted, speed) for n in (*PARTS, "sample_fetch")}
+    inference = _part_time("inference", frames, counted, speed)
     ratios = [each.ms / session.quiet_ms for visit in visits for each in session.around(visit)]
-    busy = _describe_load(session, track.visits)
+    load_text = _describe_load(session, track.visits)
     return Timing(
         clip=clip,
         **parts,
-        inference=inference._replace(mean=sum(parts[name].mean for name in PARTS)),
+        inference=inference._replace(mean=(mean := sum(parts[name].mean for name in PARTS))),
+        low=min(low, mean),
+        high=max(high, mean),
+        frames_used=used,
         frames=len(frames),
         rounds=len(visits),
-        half_width=half_width(times) / inference.p50 if inference.p50 else 0.0,
+        half_width=half / inference.p50 if inference.p50 else 0.0,
         processor_share=sum(f.processor for f in frames) / (sum(times) or 1.0),
         calibration_ratio=statistics.median(ratios),
         switches=statistics.fmean(frame.switches for frame in frames),
         load_average=load,
         threads=torch.get_num_threads(),
-        unreliable=unreliable_reason(times, len(counted), len(track.visits), least, busy),
+        disturbance=describe_disturbance(times, len(quiet), len(track.visits), least, load_text),
     )
 
 
-def _part_time(name: str, frames: Sequence[FrameTime], middle: Sequence[FrameTime]) -> PartTime:
+def _part_time(
+    name: str, frames: Sequence[FrameTime], counted: Sequence[FrameTime], factor: float
+) -> PartTime:
     times = torch.tensor([getattr(frame, name) for frame in frames], dtype=torch.float64)
     p50, p95 = times.quantile(torch.tensor([0.5, 0.95], dtype=torch.float64)).tolist()
-    return PartTime(statistics.fmean(getattr(frame, name) for frame in middle), p50, p95)
+    mean = statistics.fmean(getattr(frame, name) for frame in counted)
+    return PartTime(factor * mean, p50, p95)
 
 
 def _describe_load(session: Session, visits: Sequence[Visit]) -> str:
@@ -256,6 +273,13 @@ class Session:
             if all(each.is_quiet(quiet_ms) for each in self.around(visit))
         ]
 
+    def mean_speed(self, visits: Sequence[Visit]) -> float:
+        """Mean share of the quiet machine's speed around some visits."""
+        quiet_ms = self.quiet_ms
+        return statistics.fmean(
+            each.speed(quiet_ms) for visit in visits for each in self.around(visit)
+        )
+
     def around(self, visit: Visit) -> list[Calibration]:
         """The calibrations before and after a visit."""
         return self.calibrations[visit.calibration : visit.calibration + 2]
@@ -331,10 +355,10 @@ def middle_half(ordered: Sequence[T]) -> Sequence[T]:
     return ordered[cut : len(ordered) - cut]
 
 
-def unreliable_reason(
+def describe_disturbance(
     times: Sequence[float], counted: int, rounds: int, min_rounds: int, busy: str
 ) -> str:
-    """Why the median of `times` must not be believed; empty if it may.
+    """Why the interval of `times` is wide; empty on a quiet machine with steady frames.
 
     `counted` of `rounds` rounds ran on a quiet machine; `busy` says how busy it was otherwise.
     """

@@ -86,6 +86,8 @@ def _describe(variant: Variant) -> dict[str, Any]:
         "pool": traits.pool,
         "adaptive": traits.adaptive,
         "temporal": traits.temporal,
+        "recordable": not traits.eager_reason,
+        "eager_reason": traits.eager_reason,
         "learned": variant.learned,
         "pretrained": variant.pretrained,
         "weights": _describe_weights(variant),

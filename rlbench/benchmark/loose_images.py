@@ -1,6 +1,7 @@
 """Image files that belong to no run: each read as linear radiance, or several as a clip to look at.
 
-EXR and PFM hold linear radiance, and stay as they are. PNG holds 8-bit sRGB, and is decoded.
+EXR and PFM hold linear radiance, and stay as they are, but that an EXR of other chromaticities
+becomes Rec. 709. PNG holds 8-bit sRGB, and is decoded.
 """
 
 from __future__ import annotations
@@ -16,7 +17,7 @@ from numpy import ndarray as Array
 
 from rlbench.benchmark.shown_clips import ShownClip, ShownImages
 from rlbench.clips.header import ClipError
-from rlbench.clips.importers.image_files import Channels, read_exr_image, read_png
+from rlbench.clips.importers.image_files import Channels, read_exr_image, read_png, to_rec709
 from rlbench.clips.importers.sequence import SourceError
 from rlbench.clips.pfm import read_pfm
 from rlbench.errors import RlbenchError
@@ -59,7 +60,8 @@ def read_linear(
             return decode_srgb(display).numpy()
         if suffix == ".pfm":
             return read_pfm(file)
-        pixels = read_exr_image(file, Channels(alternatives, layer=layer)).pixels
+        image = read_exr_image(file, Channels(alternatives, layer=layer))
+        pixels, _ = to_rec709(file, image.pixels, image.header)
         return pixels.astype(np.float32)
     except (SourceError, ClipError) as error:
         raise LooseImageError(str(error)) from error

@@ -24,7 +24,9 @@ if TYPE_CHECKING:
     import pandas as pd
     import pyarrow as pa
 
-UNRELIABLE = "unreliable:"  # begins the note of a time that failed its test; the reason follows
+UNCERTAIN = "uncertain:"  # begins the note of a time with a wide interval; the reason follows
+WIDE = 0.15  # `uncertainty` from which a time is marked
+FLOOR_MS = 0.05  # half width of an interval that is narrow for any time
 NO_GBUFFER = "the method reads no G-buffer"  # convention of its time, which is 0
 TWO_DEVICES = "two devices:"  # in the note of a frame's time that adds times of two devices
 EVENT_PREFIX = "event_"  # of rows that say what happens in a clip at their frame
@@ -41,8 +43,38 @@ COMPILERS = ("openvino", "compile")  # backends, labels of rows whose networks t
 TILES = "tiles"  # label of rows whose unchanged tiles were kept from the last image
 CROSSVAL = "crossval"  # label of rows whose weights were trained without the row's scene
 RESERVED_LABELS = (BF16, TILES, CROSSVAL, *COMPILERS)  # labels that no weights may have
+UNFINISHED = ".unfinished"  # a file in the folder while `rlbench evaluate` writes to it
 SCHEMA = 2  # of columns, names and metadata
 METADATA = b"rlbench"  # key of the JSON with the schema and the cell's identity
+
+
+def uncertainty(ms: float, low: float, high: float) -> float:
+    """How far a time may be from its interval's ends, as a share of it; 0 where it is not known.
+
+    >>> uncertainty(10.0, 8.0, 12.0), uncertainty(0.1, 0.06, 0.14), uncertainty(10.0, 10.0, 10.0)
+    (0.25, 0.0, 0.0)
+    """
+    if not high - low > 2 * FLOOR_MS:  # nan too
+        return 0.0
+    return max(high / ms, ms / low if low > 0 else math.inf) - 1
+
+
+def interval_columns(part: str) -> tuple[str, str, str]:
+    """The metrics of a time, and of the ends of its interval.
+
+    >>> interval_columns("frame")
+    ('frame_ms', 'frame_low_ms', 'frame_high_ms')
+    """
+    return f"{part}_ms", f"{part}_low_ms", f"{part}_high_ms"
+
+
+def mark_uncertainty(share: float) -> str:
+    """What stands after a time whose `uncertainty` is `share`; empty where it is narrow.
+
+    >>> mark_uncertainty(0.254), mark_uncertainty(0.1)
+    (' ±25 %', '')
+    """
+    return f" ±{100 * share:.0f} %" if share > WIDE else ""
 
 
 class TableError(RlbenchError, ValueError):

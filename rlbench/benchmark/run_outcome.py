@@ -36,7 +36,8 @@ class ScoreRow:
     psnr_debiased: float | None  # dB, without the noise of the reference
     inference_ms: float | None
     frame_ms: float | None  # inference, G-buffer and samples
-    unreliable: tuple[str, ...] = ()  # the times that a busy machine spoiled
+    inference_uncertainty: float = 0.0  # see `results.uncertainty`
+    frame_uncertainty: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -48,7 +49,7 @@ class RunOutcome:
     clips: int  # number of clips of the plan
     scores: list[ScoreRow]
     missing: list[str]  # why clips have no score, no inference time or no sample time
-    remarks: list[str]  # unreliable times, and what to know of scores
+    remarks: list[str]  # uncertain times, and what to know of scores
     verdict: RunVerdict
 
 
@@ -71,7 +72,7 @@ def read_outcome(
         clips=len(clips),
         scores=_score_rows(rows),
         missing=_missing_numbers(rows),
-        remarks=_remarks(rows),
+        remarks=_remarks(rows, folder),
         verdict=judge_run(summary, rows),
     )
 
@@ -85,11 +86,13 @@ def _score_rows(rows: pd.DataFrame) -> list[ScoreRow]:
         psnr, debiased, inference_ms, frame_ms = (
             _number(means.get(name)) for name in (*HEADLINE, *TIMES)
         )
-        doubted = set(group.loc[_is_unreliable(group), "metric"])
+        doubts = [
+            results.uncertainty(*means.reindex(results.interval_columns(name)))
+            for name in ("inference", "frame")
+        ]
         scored = group.loc[(group["metric"] == "psnr") & group["value"].notna(), "clip"].nunique()
-        unreliable = tuple(name for name in TIMES if name in doubted)
         numbers = scored, psnr, debiased, inference_ms, frame_ms
-        table.append(ScoreRow(method, float(spp), *numbers, unreliable))
+        table.append(ScoreRow(method, float(spp), *numbers, *doubts))
     return table
 
 
@@ -103,23 +106,25 @@ def _missing_numbers(rows: pd.DataFrame) -> list[str]:
     ]
 
 
-def _remarks(rows: pd.DataFrame) -> list[str]:
-    """How many rows have unreliable times and why, and remarks on scores."""
-    frames = rows[(rows["metric"] == "frame_ms") & _is_unreliable(rows)]
-    found = []
-    if count := len(frames[["method", "target_spp"]].drop_duplicates()):
-        reason = frames["note"].iloc[0].removeprefix(results.UNRELIABLE).strip()
-        found.append(
-            f"{count} rows have unreliable times, marked ?: {reason}. When the machine is idle, "
-            "repeat the command with --retime"
-        )
+def _remarks(rows: pd.DataFrame, folder: Path) -> list[str]:
+    """How many rows have uncertain times and why, and remarks on scores."""
     scored = rows[(rows["metric"] == "psnr") & rows["value"].notna() & (rows["note"] != "")]
     pairs = scored[["method", "note"]].drop_duplicates().sort_values(["method", "note"])
-    return found + [f"{method}: {note}" for method, note in pairs.itertuples(index=False)]
+    notes = [f"{method}: {note}" for method, note in pairs.itertuples(index=False)]
+    return [*uncertainty_remark(rows, folder), *notes]
 
 
-def _is_unreliable(rows: pd.DataFrame) -> pd.Series[bool]:
-    return rows["note"].str.startswith(results.UNRELIABLE)
+def uncertainty_remark(rows: pd.DataFrame, folder: Path) -> list[str]:
+    """How many rows have uncertain times, why, and the command that mends them; or nothing."""
+    uncertain = rows[rows["metric"].isin(TIMES) & rows["note"].str.startswith(results.UNCERTAIN)]
+    if not (count := len(uncertain[["method", "target_spp"]].drop_duplicates())):
+        return []
+    reason = uncertain["note"].iloc[0].removeprefix(results.UNCERTAIN).strip()
+    return [
+        f"{count} row{'s have' if count > 1 else ' has'} uncertain times, marked ±: {reason}. "
+        "When the machine is quiet, measure these again: rlbench run --config "
+        f"{folder / 'run.toml'} --out {folder} --retime uncertain"
+    ]
 
 
 def _number(value: float | None) -> float | None:

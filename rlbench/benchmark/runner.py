@@ -16,7 +16,7 @@ import logging
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING, Literal, NamedTuple
 
 import torch
 
@@ -41,6 +41,7 @@ from rlbench.benchmark.scoring import (
     add_counts,
     buffers_of_truth,
     count_rows,
+    memory_rows,
     refusal_row,
     row_template,
     score_frames,
@@ -65,6 +66,7 @@ if TYPE_CHECKING:
     import pandas as pd
 
 CellCallback = Callable[[Cell], None]
+Retime = Literal["uncertain", "all"]  # times of existing cells that are measured again
 
 _logger = logging.getLogger(__name__)
 
@@ -107,14 +109,15 @@ def measure(
     executor: Executor = LOCAL,
     on_timing: TimingCallback = _ignore,
     *,
-    retime: bool = False,
+    retime: Retime | None = None,
     scores_only: bool = False,
     keep_images: bool = False,
 ) -> RunSummary:
     """Measure every cell of `plan` that the results in `folder` do not have, and write its rows.
 
     A cell whose scores the results have is only timed where its times are out of date; with
-    `retime`, all such cells are timed again, and no cell is scored. Scores stay as they are.
+    `retime`, such cells are timed again, and no cell is scored: all of them, or those whose times
+    are uncertain, after the time of a sample of clips whose own is. Scores stay as they are.
     With `scores_only`, nothing is timed: a later call without it measures the times that are
     missing, when the machine is quiet.
     With `keep_images`, the images of each cell are written too (`cell_images`), and a cell whose
@@ -131,6 +134,8 @@ def measure(
     if retime:
         check_times_alone(scores_only, keep_images)
     plan.check_unique_names()
+    if retime == "uncertain" and plan.cost == cost.MEASURED:
+        plan = replace(plan, clips=tuple(map(cost.with_certain_sample, plan.clips)))
     runner = CellRunner(plan, keep_images=keep_images, scores_only=scores_only)
     with locked_folder(folder):
         return _measure(runner, CellStore(folder), on_cell, executor, on_timing, retime)
@@ -142,7 +147,7 @@ def _measure(
     on_cell: CellCallback,
     executor: Executor,
     on_timing: TimingCallback,
-    retime: bool,
+    retime: Retime | None,
 ) -> RunSummary:
     """`measure` in a folder that no other process writes to."""
     ids = {key: store.identify(each, runner.scores_only) for key, each in runner.ids.items()}
@@ -151,10 +156,13 @@ def _measure(
     stored = {key: store.rows(each, runner.keep_images) for key, each in ids.items()}
     known = {key: rows for key, rows in stored.items() if rows is not None}
     unscored = [cell for cell in runner.cells if cell.key not in known]
-    current = {key for key in known if ids[key] in store.cells and not retime}
+    again = {
+        key for key, rows in known.items() if retime == "all" or retime and _is_uncertain(rows)
+    }
+    current = {key for key in known if ids[key] in store.cells and key not in again}
     due = [cell for cell in runner.cells if cell.key not in current]
     due = [cell for cell in due if not (retime and cell in unscored)]
-    if retime and not due:
+    if retime and not known:
         raise CellsError(
             f"no cell of this run is in {store.folder} with the scores of today's code, weights "
             "and clips, so there is no time to measure again. Run without --retime"
@@ -175,6 +183,12 @@ def _measure(
         summary += _store(outcome, ids[outcome.job.key], runner, store, outcome.job.key in known)
         on_cell(outcome.job)
     return summary
+
+
+def _is_uncertain(rows: Sequence[Row]) -> bool:
+    """True if a time of these rows has a wide interval, or if they have none."""
+    times = [row for row in rows if row.unit == "ms"]
+    return not times or any(row.note.startswith(results.UNCERTAIN) for row in times)
 
 
 def _store(
@@ -316,6 +330,8 @@ class CellRunner:
             rows += [replace(row, note=row.note or remarks) for row in scored]
             pixels = add_counts(pixels, result.samples.counts)
             frames += [KeptFrame.of(result)] if self.keep_images else []
+        if cell.traits.temporal:
+            rows += memory_rows(template, registry.load_memory_metrics().values(), rows)
         rows += count_rows(template, pixels)
         images = CellImages(cell.traits.pool, clip.digest, max_samples, frames)
         times = self._time_rows(cell, template, rows)

@@ -36,6 +36,7 @@ COUNTED = "share of the pixels of all frames, pilot samples included"
 CEILING = "the clip's header: PSNR of the noise-free image against the reference"
 REPAIRED = "invalid pixels and samples, replaced before the method read them"
 NO_REFERENCE = "the frame, or one before it that the metric reads, has no reference"
+BLACK = "the reference is black, where PSNR nears its cap of 100 dB and lifts the mean over frames"
 SKIPPED = "share of pixels kept from the last image, in tiles that did not change"
 
 
@@ -208,8 +209,15 @@ def score_frame(
         score = math.nan if note else float(metric.score(comparison)[0])
         if math.isnan(score) and not note:
             note = f"the value is nan: {metric.convention}"
+        if metric.name == "psnr" and not note and _is_black(comparison):
+            note = BLACK
         yield _score_row(frame, metric, score, note)
     yield from _fact_rows(frame, header, result)
+
+
+def _is_black(comparison: Comparison) -> bool:
+    """Whether the reference is black on a display of 8 bits."""
+    return bool(comparison.display_reference.amax() < 0.5 / 255)
 
 
 def add_counts(pixels: Tensor, counts: Tensor) -> Tensor:
@@ -235,6 +243,19 @@ def count_rows(template: Row, pixels: Tensor) -> list[Row]:
         with_value(row, f"{COUNT_PREFIX}{spp}", 100 * count / total, COUNTED)
         for spp, count in counted
     ]
+
+
+def memory_rows(template: Row, metrics: Iterable[Metric], rows: Sequence[Row]) -> Iterator[Row]:
+    """Scores such as `drift` of a method with a memory, from the PSNR rows of its frames."""
+    scores = [row for row in rows if row.metric == "psnr"]
+    notes = [row.note for row in scores if math.isnan(row.value)]
+    mean_spp = sum(row.mean_spp for row in scores) / max(len(scores), 1)
+    of_clip = replace(template, frame=WHOLE_CLIP, mean_spp=mean_spp)
+    for metric in metrics:
+        if metric.from_psnr and scores:
+            value = metric.from_psnr([row.value for row in scores])
+            note = next(iter(notes), "") if math.isnan(value) else ""
+            yield _score_row(of_clip, metric, value, note)
 
 
 def score_clip(

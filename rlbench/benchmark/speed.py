@@ -1,7 +1,7 @@
 """Speed of methods by image size, backend and precision, on generated frames.
 
-No score is measured. Times are those of `rlbench run`: interleaved rounds, with notes where the
-machine was busy. Work and memory are counted by PyTorch while it runs one frame.
+No score is measured. Times are those of `rlbench run`: interleaved rounds, with an interval and a
+note where the machine was busy. Work and memory are counted by PyTorch while it runs one frame.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ from rlbench import registry
 from rlbench.backends import EAGER
 from rlbench.benchmark.clock import SystemClock
 from rlbench.benchmark.latency import PARTS, REPEATS, TimedRow, Timing, device_name, time_methods
-from rlbench.benchmark.results import UNRELIABLE
+from rlbench.benchmark.results import interval_columns, mark_uncertainty, uncertainty
 from rlbench.benchmark.run_plan import build_method
 from rlbench.checks.tensors import iterate_parts, iterate_tensors
 from rlbench.clips.in_memory import InMemoryClip
@@ -47,13 +47,15 @@ COLUMNS = {
     "allocate_ms": "likewise",
     "denoise_ms": "likewise",
     "inference_ms": "sum of the three",
+    "inference_low_ms": "low end of the interval in which a quiet machine's time lies",
+    "inference_high_ms": "high end of it",
     "inference_p95_ms": "95th percentile",
     "parameters": "thousands, of the networks that PyTorch runs",
     "multiply_adds": "thousands per pixel, of convolutions and matrix products",
     "peak_share": "of the throughput of a matrix product in the same precision",
     "state_bytes": "per pixel, of all tensors that are kept for the next frame",
     "memory_mb": "most memory of tensors during a frame, beyond its input",
-    "note": "why a time must not be believed",
+    "note": "why an interval is wide, or why there are no times",
 }
 
 PixelSize = tuple[int, int]  # height, width
@@ -140,21 +142,18 @@ def failed_rows(table: pd.DataFrame) -> dict[str, str]:
 
 
 def profile_times(table: pd.DataFrame) -> dict[str, dict[str, float]]:
-    """The inference times of a table by size, as in "1920x1080", and row; those without a note.
+    """The inference times of a table by size, as in "1920x1080", and row.
 
-    Raises RlbenchError if every time has a note.
+    Raises RlbenchError if there is no time.
     """
-    sound = table[table["note"] == ""]
-    if sound.empty:
-        raise RlbenchError(
-            f"no time can be used, of {len(table)}: {table['note'].iloc[0]}. Repeat the command "
-            "when the machine is idle"
-        )
+    timed = table[table["inference_ms"].notna()]
+    if timed.empty:
+        raise RlbenchError(f"no row has a time, of {len(table)}: {table['note'].iloc[0]}")
     return {
         f"{width}x{height}": dict(
             zip(rows["method"], map(float, rows["inference_ms"]), strict=True)
         )
-        for (height, width), rows in sound.groupby(["height", "width"])
+        for (height, width), rows in timed.groupby(["height", "width"])
     }
 
 
@@ -217,7 +216,9 @@ def _times(timing: Timing) -> dict[str, object]:
     return {
         **{f"{name}_ms": getattr(timing, name).mean for name in (*PARTS, "inference")},
         "inference_p95_ms": timing.inference.p95,
-        "note": f"{UNRELIABLE} {timing.unreliable}" if timing.unreliable else "",
+        "inference_low_ms": timing.low,
+        "inference_high_ms": timing.high,
+        "note": timing.disturbance,
     }
 
 
@@ -245,10 +246,12 @@ def speed_page(table: pd.DataFrame, device: str) -> str:
 def _lines(rows: pd.DataFrame) -> list[str]:
     table = [list(SHOWN.values()), ["---", *["---:"] * (len(SHOWN) - 1)]]
     for _, row in rows.iterrows():
-        numbers = [_format(name, row[name]) for name in list(SHOWN)[1:]]
-        table.append([f"`{row['method']}`{'?' * bool(row['note'])}", *numbers])
+        numbers = {name: _format(name, row[name]) for name in list(SHOWN)[1:]}
+        ends = uncertainty(*row[list(interval_columns("inference"))])
+        numbers["inference_ms"] += mark_uncertainty(ends)
+        table.append([f"`{row['method']}`", *numbers.values()])
     noted = rows[rows["note"] != ""]
-    notes = [f"? `{row['method']}`: {row['note']}" for _, row in noted.iterrows()]
+    notes = [f"`{row['method']}`: {row['note']}" for _, row in noted.iterrows()]
     return ["\n".join(f"| {' | '.join(cells)} |" for cells in table), *notes]
 
 

@@ -16,7 +16,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
-from itertools import islice
+from itertools import chain, islice
 from pathlib import Path
 from typing import Any
 
@@ -25,7 +25,15 @@ from rlbench.backends import EAGER
 from rlbench.benchmark import cost, latency
 from rlbench.benchmark.cost import FULL_FRAME, Cost, CostProfile, ProfileTime, Scatter
 from rlbench.benchmark.latency import PARTS, TimedRow, Timing
-from rlbench.benchmark.results import CLOCK_PREFIX, TWO_DEVICES, UNRELIABLE, Row
+from rlbench.benchmark.results import (
+    CLOCK_PREFIX,
+    TWO_DEVICES,
+    UNCERTAIN,
+    WIDE,
+    Row,
+    interval_columns,
+    uncertainty,
+)
 from rlbench.benchmark.run_plan import Cell, CellLoader
 from rlbench.benchmark.scoring import with_value
 from rlbench.parallel.executor import Executor, JobResult, ProgressCallback, Resources
@@ -36,6 +44,7 @@ from rlbench.system import provenance
 MAX_ROWS = 48  # timed in one session: the state of each is in memory
 FRAMES = 3  # of the clip, so that a temporal method has a history; the last one's counts are traced
 PERCENTILES = ("plan", "allocate", "denoise", "inference", "sample_fetch")
+END = "{} end of the interval in which a quiet machine's time lies"
 SUM = "gbuffer + plan + allocate + sampling + denoise"
 
 TimingKey = tuple[object, ...]
@@ -273,34 +282,53 @@ def timing_rows(
 ) -> list[Row]:
     """Rows of a cell's times: of the method, of a sample, of the G-buffer and of the whole frame.
 
-    `template` has the mean_spp. A `published` inference time replaces the measured one, split as
-    measured here; percentiles stay those of this device.
+    Each time NAME_ms has the ends of its interval, NAME_low_ms and NAME_high_ms. `template` has the
+    mean_spp. A `published` inference time replaces the measured one, split as measured here, and
+    has no interval; percentiles stay those of this device.
     """
     row = replace(template, unit="ms", direction="lower")
-    parts, convention, note, device = _charge_inference(row, timing, published)
+    parts, convention, ends, device = _charge_inference(row, timing, published)
     inference = sum(parts.values())
     sampling = row.mean_spp * cost.sample_ms * cost.scatter.factor
     factor = f"; x {cost.scatter.factor:.3g} for scattered samples" * (cost.scatter.factor != 1)
     is_unknown = math.isnan(cost.sample_ms)
-    sample_note = cost.note if is_unknown or cost.note.startswith(UNRELIABLE) else ""
-    notes = [note or sample_note]
+    sample_note = cost.note if is_unknown or cost.note.startswith(UNCERTAIN) else ""
+    note = "" if published else _uncertainty_note(timing)
+    mixed = ""
     if cost.device and not _is_same_device(device, cost.device):
-        notes.append(f"{TWO_DEVICES} inference of {device}, samples of {cost.device}")
-    frame_note = sample_note if is_unknown else "; ".join(filter(None, notes))
+        mixed = f"{TWO_DEVICES} inference of {device}, samples of {cost.device}"
     source = f"{SUM}; inference on {device}; samples: {cost.convention}"
     spent = f"{cost.convention}{factor}", sample_note or cost.scatter.note
-    return [
-        *(
-            with_value(row, f"{name}_ms", ms, convention, note)
-            for name, ms in {**parts, "inference": inference}.items()
-        ),
-        *_percentile_rows(row, timing),
-        *_clock_rows(template, timing),
-        with_value(row, "gbuffer_ms", cost.gbuffer_ms, cost.gbuffer_convention),
-        with_value(row, "sample_ms", cost.sample_ms, cost.convention, cost.note),
-        with_value(row, "sampling_ms", sampling, *spent),
-        with_value(row, "frame_ms", cost.gbuffer_ms + inference + sampling, source, frame_note),
+    frame = cost.gbuffer_ms + inference + sampling
+    frame_ends = tuple(
+        traced * (cost.gbuffer_ms + sampling) + own * inference
+        for traced, own in zip(cost.interval, ends, strict=True)
+    )
+    is_wide = uncertainty(frame, *frame_ends) > WIDE
+    reasons = [sample_note] if is_unknown else [(note or sample_note) * is_wide, mixed]
+    rows = [
+        *(_with_interval(row, name, ms, ends, convention, note) for name, ms in parts.items()),
+        _with_interval(row, "inference", inference, ends, convention, note),
+        _with_interval(row, "gbuffer", cost.gbuffer_ms, cost.interval, cost.gbuffer_convention),
+        _with_interval(row, "sample", cost.sample_ms, cost.interval, cost.convention, cost.note),
+        _with_interval(row, "sampling", sampling, cost.interval, *spent),
     ]
+    ratios = [end / frame for end in frame_ends] if frame else (1.0, 1.0)
+    rows.append(
+        _with_interval(row, "frame", frame, ratios, source, "; ".join(filter(None, reasons)))
+    )
+    return [*chain(*rows), *_percentile_rows(row, timing), *_clock_rows(template, timing)]
+
+
+def _with_interval(
+    row: Row, name: str, ms: float, ends: Sequence[float], convention: str, note: str = ""
+) -> Iterator[Row]:
+    """The rows of a time and of the ends of its interval, which are given relative to it."""
+    time, *ends_of_it = interval_columns(name)
+    yield with_value(row, time, ms, convention, note)
+    if math.isfinite(ms):
+        for metric, word, end in zip(ends_of_it, ("low", "high"), ends, strict=True):
+            yield with_value(row, metric, end * ms, END.format(word))
 
 
 def failed_time_rows(template: Row, reason: str) -> list[Row]:
@@ -317,17 +345,21 @@ def drop_times(rows: Sequence[Row]) -> list[Row]:
 
 def _charge_inference(
     row: Row, timing: Timing, published: ProfileTime | None
-) -> tuple[dict[str, float], str, str, str]:
-    """The parts of inference that a row is charged, their convention, note and device."""
+) -> tuple[dict[str, float], str, tuple[float, float], str]:
+    """The parts of inference that a row is charged, their convention, interval and device.
+
+    The interval is relative to the sum of the parts.
+    """
     parts = {name: getattr(timing, name).mean for name in PARTS}
-    if published is None:
-        convention = f"mean of the middle half of {_describe_frames(timing)}"
-        return parts, convention, _reliability_note(timing), row.device
     total = sum(parts.values())
+    if published is None:
+        convention = f"{timing.frames_used} of {_describe_frames(timing)}"
+        ends = (timing.low / total, timing.high / total) if total else (1.0, 1.0)
+        return parts, f"mean of the {convention}", ends, row.device
     shares = {name: ms / total for name, ms in parts.items()} if total else {"denoise": 1.0}
     parts = {name: published.ms * shares.get(name, 0.0) for name in PARTS}
     convention = f"{published.convention}; split into parts as measured on {row.device}"
-    return parts, convention, "", published.convention.partition(",")[0]
+    return parts, convention, (1.0, 1.0), published.convention.partition(",")[0]
 
 
 def _is_same_device(first: str, second: str) -> bool:
@@ -337,14 +369,16 @@ def _is_same_device(first: str, second: str) -> bool:
     )
 
 
-def _reliability_note(timing: Timing) -> str:
-    """The note of times that must not be believed; empty for others."""
-    return f"{UNRELIABLE} {timing.unreliable}" if timing.unreliable else ""
+def _uncertainty_note(timing: Timing) -> str:
+    """Why the interval of an inference time is wide; empty where it is narrow."""
+    if uncertainty(timing.inference.mean, timing.low, timing.high) <= WIDE:
+        return ""
+    return f"{UNCERTAIN} {timing.disturbance or 'its frames vary'}"
 
 
 def _percentile_rows(row: Row, timing: Timing) -> Iterator[Row]:
     frames = _describe_frames(timing)
-    note = _reliability_note(timing)
+    note = _uncertainty_note(timing)
     for name in PERCENTILES:
         time, is_fetch = getattr(timing, name), name == "sample_fetch"
         excluded = "; not part of frame_ms" * is_fetch

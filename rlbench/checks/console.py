@@ -12,6 +12,7 @@ from rich.markup import escape
 
 from rlbench.checks.result import CheckResult, Verdict
 
+ASCII = {"✓": "+", "✗": "x"}  # where the terminal cannot print the marks
 MARKS = {
     Verdict.PASSED: "[green]✓[/green]",
     Verdict.WARNING: "[yellow]![/yellow]",
@@ -43,7 +44,10 @@ def print_lines(
         console.print(f"[bold]{escape(title)}[/bold]", highlight=False, soft_wrap=True)
     printed = []
     for result in results:
-        console.print(_format_line(result), highlight=False, soft_wrap=True)
+        line = _format_line(result)
+        if not console.encoding.startswith("utf"):
+            line = "".join(ASCII.get(c, c) for c in line)
+        console.print(line, highlight=False, soft_wrap=True)
         if debug and result.error:
             lines = traceback.format_exception(result.error)
             console.print("".join(lines), markup=False, highlight=False, soft_wrap=True)

@@ -27,7 +27,7 @@ def decide(
     cost: str = "",
     metric: str = "psnr",
     device: str = "",
-    allow_unreliable: bool = False,
+    strict: bool = False,
     left_out: Sequence[str] = (),
     plugins: str = "",
 ) -> Decision:
@@ -36,16 +36,19 @@ def decide(
     `sample_ms` is your renderer's time for one sample of every pixel, `gbuffer_ms` that of its
     G-buffer; by default it costs as many samples as in the results. `rows` are results as `run`
     returns them; by default those in `folder` are read. `cost` is a cost profile whose times of
-    methods, and of a sample, replace those of the results. The answer has `candidates`, the best
-    first. `left_out` and `plugins` are as in `reports.decide`. Raises RlbenchError where no
-    denoiser fits, or rows cannot be compared.
+    methods, if it has any, and of a sample replace those of the results. The answer has
+    `candidates`, the best first. `strict`, `left_out` and `plugins` are as in `reports.decide`.
+    Raises RlbenchError where no denoiser fits, or rows cannot be compared.
     """
     from reports.decide import decide as decide_rows
+    from rlbench.benchmark.cost import MEASURED
     from rlbench.benchmark.results import read
 
     table = read(Path(folder)) if rows is None else rows
-    given = _read_times(cost, table) if cost else None
+    given = _read_times(cost, table) if cost not in ("", MEASURED) else None
     sample = sample_ms if sample_ms is not None else given.sample_ms if given else None
+    if given and not given.inference_ms:  # a profile of a renderer: methods as measured
+        given = None
     if sample is None:
         raise OptionError("--sample-ms or --cost is needed: what a sample of every pixel costs")
     return decide_rows(
@@ -55,7 +58,7 @@ def decide(
         metric,
         device,
         left_out,
-        allow_unreliable,
+        strict,
         gbuffer_ms,
         given,
         plugins,

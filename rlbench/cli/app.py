@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import io
+import sys
 from typing import Annotated
 
 import typer
@@ -50,6 +52,13 @@ def _print_version(is_requested: bool) -> None:
         raise typer.Exit
 
 
+def _print_what_the_terminal_can() -> None:
+    """Replace characters that the encoding of a stream lacks, in place of an exception."""
+    for stream in (sys.stdout, sys.stderr):
+        if isinstance(stream, io.TextIOWrapper):
+            stream.reconfigure(errors="replace")
+
+
 @app.callback()
 def _main(
     version: Annotated[
@@ -68,4 +77,5 @@ def _main(
         bool, typer.Option("--quiet", "-q", help="Print results and errors, and no progress.")
     ] = False,
 ) -> None:
+    _print_what_the_terminal_can()
     set_verbosity(verbose, quiet)

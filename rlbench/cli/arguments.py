@@ -8,7 +8,7 @@ from collections.abc import Callable, Collection, Iterable
 from dataclasses import dataclass
 from functools import wraps
 from pathlib import Path
-from typing import Any, NewType, TypeVar
+from typing import Any, NamedTuple, NewType, TypeVar
 
 import typer
 
@@ -16,9 +16,20 @@ from rlbench.errors import OptionError
 
 T = TypeVar("T")
 
+
+class PixelSize(NamedTuple):
+    """A size in pixels."""
+
+    height: int
+    width: int
+
+    def __str__(self) -> str:
+        """As on the command line."""
+        return f"{self.width}x{self.height}"
+
+
 Budgets = NewType("Budgets", tuple[float, ...])  # samples per pixel
 Seeds = NewType("Seeds", tuple[int, ...])
-PixelSize = NewType("PixelSize", tuple[int, int])  # height, width
 PixelSizes = NewType("PixelSizes", tuple[PixelSize, ...])
 Crop = NewType("Crop", tuple[int, int, int, int])  # x, y, width, height
 Definition = NewType("Definition", tuple[str, str])  # name, value
@@ -123,20 +134,20 @@ def parse_size(text: str) -> PixelSize:
     """Height and width in pixels of WIDTHxHEIGHT.
 
     >>> parse_size("320x192")
-    (192, 320)
+    PixelSize(height=192, width=320)
     """
     match = re.fullmatch(r"([1-9]\d*)x([1-9]\d*)", text, re.ASCII)
     if not match:
         raise typer.BadParameter(f"'{text}' is no size. Give WIDTHxHEIGHT, for example 320x192")
-    return PixelSize((int(match[2]), int(match[1])))
+    return PixelSize(int(match[2]), int(match[1]))
 
 
 @text_parser
 def parse_sizes(text: str) -> PixelSizes:
     """Heights and widths in pixels of a list: 192 is a square; 720p, 1080p and 4k are known.
 
-    >>> parse_sizes("192,640x480,1080p")
-    ((192, 192), (480, 640), (1080, 1920))
+    >>> [str(size) for size in parse_sizes("192,640x480,1080p")]
+    ['192x192', '640x480', '1920x1080']
     """
     squares = (f"{part}x{part}" if part.isdecimal() else part for part in split_names([text]))
     sizes = dict.fromkeys(parse_size(VIDEO_SIZES.get(part, part)) for part in squares)
@@ -246,6 +257,10 @@ def parse_weights(text: str) -> WeightsChoice:
             f"'{label}' cannot name rows, because METHOD@{word} names rows of another kind. Use "
             "another name before ="
         )
+    if Path(file).is_dir():
+        inside = ", ".join(str(each) for each in sorted(Path(file).rglob("*.safetensors"))[:3])
+        found = f"It holds {inside}" if inside else "It holds no weights (*.safetensors)"
+        raise typer.BadParameter(f"'{file}' is a folder, not a weights file. {found}")
     if not Path(file).is_file():
         raise typer.BadParameter(
             f"file '{file}' does not exist. Give a weights file; 'rlbench train' writes one"

@@ -10,12 +10,14 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
-from rlbench.cli.arguments import WeightsChoice
+from rlbench.cli.arguments import PixelSize, WeightsChoice
 from rlbench.errors import OptionError
 from rlbench.registry.near_names import unknown_name
 from rlbench.system import documents
 
-LEFT_OUT = ("config", "out")  # of the file that a run writes: they belong to one call
+TRUSTED = ("plugin", "ray-address")  # options that run code, so that the caller has to allow them
+# of the file that a run writes: they belong to one call
+LEFT_OUT = ("config", "allow_plugins", "out", "retime")
 
 
 def use(context: Any, file: Path | None) -> Path | None:
@@ -38,6 +40,35 @@ def use(context: Any, file: Path | None) -> Path | None:
     return file
 
 
+def check_trusted(context: Any, file: Path | None, allow_plugins: bool) -> None:
+    """Raise OptionError where the file runs code or writes elsewhere and the caller did not say so.
+
+    The file may be part of results by a stranger. What stands on the command line is the caller's.
+    """
+    if file is None:
+        return
+    values = documents.read_toml(file)
+    own = [name for name in TRUSTED if name in values and _is_of_file(context, name)]
+    if own and not allow_plugins:
+        found = "; ".join(f"{name} = {values[name]!r}" for name in own)
+        raise OptionError(
+            f"--config {file}: {found} runs code, and the file may be from somebody else. If you "
+            "trust it, add --allow-plugins"
+        )
+    if "out" in values and _is_of_file(context, "out"):
+        out = Path(str(values["out"]))
+        if not out.resolve().is_relative_to(Path.cwd().resolve()):
+            raise OptionError(
+                f"--config {file}: out = '{out}' is not in this folder. Name it yourself: --out "
+                f"{out}"
+            )
+
+
+def _is_of_file(context: Any, option: str) -> bool:
+    source = context.get_parameter_source(option.replace("-", "_"))
+    return source is not None and source.name == "DEFAULT_MAP"
+
+
 def _as_words(value: Any, parameter: Any) -> Any:
     """A value as it would stand on the command line; a flag as it is."""
     if isinstance(value, bool):
@@ -56,9 +87,17 @@ def write(context: Any, file: Path) -> None:
     documents.write_toml(file, given)
 
 
+def is_typed(context: Any, name: str) -> bool:
+    """True if an option stands on the command line, not in the file alone."""
+    source = context.get_parameter_source(name)
+    return source is not None and source.name == "COMMANDLINE"
+
+
 def _as_toml(value: Any) -> Any:
     if isinstance(value, WeightsChoice):
         return f"{value.label}={value.file}" if value.label else value.file
+    if isinstance(value, PixelSize):
+        return str(value)
     if isinstance(value, list | tuple):
         return [_as_toml(each) for each in value]
     return str(value) if isinstance(value, Path) else value

@@ -11,6 +11,7 @@ from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, TextColumn, TimeRemainingColumn
 from rich.table import Table
 
+from rlbench.benchmark.results import mark_uncertainty
 from rlbench.benchmark.run_outcome import RunOutcome
 from rlbench.benchmark.run_plan import Cell, RunPlan, list_cells
 from rlbench.benchmark.runner import ProgressCallbacks
@@ -77,7 +78,7 @@ def counting(title: str, total: int) -> Iterator[Callable[[], None]]:
 
 def print_outcome(outcome: RunOutcome) -> None:
     """Print what happened to the cells of a run, its scores and times, and the verdict."""
-    console = Console()
+    console = Console(markup=False)
     _print_summary(outcome.summary, outcome.folder, console)
     _print_scores(outcome, console)
     for line in outcome.missing:
@@ -95,7 +96,8 @@ def _print_summary(summary: RunSummary, out: Path, console: Console) -> None:
         text = f"a damaged row file was set aside as {file}; cells of this run are measured again"
         console.print(text, style="yellow", markup=False, soft_wrap=True)
     if not summary.measured + summary.timed + summary.skipped + summary.failed:
-        console.print(f"nothing to do: all {summary.cached} cells are in {out} already")
+        text = f"nothing to do: all {summary.cached} cells are in {out} already"
+        console.print(text, markup=False)
         return
     text = (
         f"{summary.measured} cells measured, {summary.cached} already in the results, "
@@ -105,7 +107,7 @@ def _print_summary(summary: RunSummary, out: Path, console: Console) -> None:
     text += f", {summary.unscored} without scores and not timed" if summary.unscored else ""
     text += f", {summary.failed} failed" if summary.failed else ""
     text += f", {summary.replaced} older ones replaced" if summary.replaced else ""
-    console.print(f"{text}; results are in {out}")
+    console.print(f"{text}; results are in {out}", markup=False)
 
 
 def _print_scores(outcome: RunOutcome, console: Console) -> None:
@@ -116,15 +118,20 @@ def _print_scores(outcome: RunOutcome, console: Console) -> None:
         table.add_column(column, justify="left" if column == "method" else "right")
     for row in outcome.scores:
         part = f" ({row.clips} of them)" if 0 < row.clips < clips else ""
-        times = {"inference_ms": row.inference_ms, "frame_ms": row.frame_ms}
-        cells = [f"{_format_number(ms)}{'?' * (n in row.unreliable)}" for n, ms in times.items()]
+        cells = [
+            f"{_format_number(ms)}{mark_uncertainty(share)}"
+            for ms, share in (
+                (row.inference_ms, row.inference_uncertainty),
+                (row.frame_ms, row.frame_uncertainty),
+            )
+        ]
         scores = map(_format_number, (row.psnr, row.psnr_debiased))
         table.add_row(f"{row.method}{part}", f"{row.spp:g}", *scores, *cells)
     console.print(table)
 
 
 def _progress_bar() -> LoggedProgress:
-    columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn())
+    columns = (TextColumn("{task.description}", markup=False), BarColumn(), MofNCompleteColumn())
     return LoggedProgress(*columns, TimeRemainingColumn(), speed_estimate_period=SPEED_PERIOD)
 
 

@@ -55,25 +55,22 @@ def decide(
         option(
             MEASUREMENT,
             "times of your device, of samples and methods, in place of those of the results: a "
-            "TOML file, as rlbench speed --as-cost writes it",
+            "name or a TOML file, as rlbench run --cost reads and rlbench speed --as-cost writes",
             value="COST",
         ),
     ] = "",
-    allow_unreliable: Annotated[
+    strict: Annotated[
         bool,
-        flag(
-            MEASUREMENT,
-            "--allow-unreliable",
-            "also use times that the clock rejected, with a mark",
-        ),
+        flag(MEASUREMENT, "--strict", "refuse an answer that uncertain times leave open, as in CI"),
     ] = False,
 ) -> None:
     """Name the denoiser with the least error in a frame time.
 
     Reads the results table alone: the expected score with its interval, the runner-up, and the
     cost of a sample and the deadline at which another method wins. Frame time is G-buffer +
-    inference + samples. Times that the clock rejected are not used; the exit code is 1 if all are
-    of this kind, and 2 if no denoiser fits.
+    inference + samples. Where times are uncertain, the answer says by how much, and which other
+    denoiser could be the best. The exit code is 2 if no denoiser fits, and with --strict if
+    uncertain times leave the answer open.
 
     Examples:
 
@@ -97,7 +94,7 @@ def decide(
         cost=cost,
         metric=metric,
         device=device,
-        allow_unreliable=allow_unreliable,
+        strict=strict,
         left_out=left_out,
         plugins=plugin_words(plugin),
     )
@@ -117,10 +114,10 @@ def _next_run(rows: pd.DataFrame, method: str, spp: float, results: Path) -> str
     sample, which images made elsewhere have not; the weights of a row with a label are not known.
     """
     from rlbench.benchmark.results import RowName
-    from rlbench.render.presets import PRESETS
+    from rlbench.render.presets import find_preset
 
     own = rows[rows["method"] == method]
-    presets = [PRESETS.get(name) for name in set(own["preset"])]
+    presets = [find_preset(name) for name in set(own["preset"])]
     sources = own.loc[own["metric"] == "sample_ms", "convention"]
     is_measured = not sources.empty and sources.str.contains(", measured on ").all()
     if (

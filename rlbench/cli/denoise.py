@@ -12,11 +12,15 @@ from rlbench.cli.methods import load_plugins
 from rlbench.cli.options import CLIPS, METHODS, complete_methods, number, option
 
 if TYPE_CHECKING:
-    from rlbench.denoise_files import NoisySequence
+    from collections.abc import Sequence
+
+    from rlbench.denoising.files import NoisySequence
+    from rlbench.method import Method
 
 DEFAULT_METHOD = "accumulate/intel"  # of frames with motion vectors
 DEFAULT_ALONE = "oidn"  # of one image, and of frames that do not belong together
-WARM_UP, UNKNOWN_SPP = 16, 8  # those of rlbench.denoise_files, which imports torch
+LARGE = 2**31  # bytes of memory that are worth a note
+WARM_UP, UNKNOWN_SPP = 16, 8  # those of rlbench.denoising.files, which imports torch
 
 
 Images = Annotated[
@@ -57,6 +61,15 @@ def denoise(
             CLIPS,
             "its files: pixels to the frame before, x right, y down (others: --layout)",
             value="FILES",
+        ),
+    ] = None,
+    also: Annotated[
+        str | None,
+        option(
+            CLIPS,
+            "passes or light groups of the same files, which add up to the image: Emit,Volume or "
+            "LIGHT*COLOUR; Blender's DiffDir finds its DiffCol",
+            value="PASS,...",
         ),
     ] = None,
     layout: Annotated[
@@ -102,7 +115,7 @@ def denoise(
         float | None,
         number(
             CLIPS,
-            "radiance times this is 1 at display white; default: chosen from the first frame",
+            "radiance times this is 1 at display white; default: chosen from up to 8 frames",
             "FACTOR",
         ),
     ] = None,
@@ -125,6 +138,7 @@ def denoise(
       rlbench denoise color.exr --albedo albedo.exr --normal normal.exr -o denoised/
       rlbench denoise color.####.exr --albedo albedo.####.exr --normal normal.####.exr -o denoised/
       rlbench denoise render/ --frames 120:240 -o denoised/
+      rlbench denoise render/ --also DiffDir,DiffInd,GlossDir,GlossInd,Emit,Env -o denoised/
       rlbench denoise render/ -m accumulate/tuned --layout engine.toml --spp 4 -o denoised/
     """
     load_plugins(plugin)
@@ -132,7 +146,7 @@ def denoise(
     from rlbench.benchmark.api import select_device
     from rlbench.cli import console
     from rlbench.clips.importers.sequence import parse_frame_range
-    from rlbench.denoise_shot import denoise_sequence
+    from rlbench.denoising.shot import denoise_sequence
     from rlbench.system.paths import check_writable
 
     check_writable(out)
@@ -148,11 +162,12 @@ def denoise(
         warm_up=warm_up,
         layer=layer,
         is_static=static,
+        passes=[name.strip() for name in also.split(",")] if also else (),
     )
     file = weights.file if weights else None
     label = f"{method} with {file}" if file else method
     loaded = registry.load_method(method, chosen, file)
-    for note in _notes(method, shots[0]):
+    for note in (*_notes(method, shots[0]), *_check_memory(method, loaded, shots)):
         typer.echo(f"note: {note}")
     with console.counting("denoising", sum(map(len, shots))) as on_frame:
         summaries = [
@@ -178,7 +193,7 @@ def _find(
     """The row, by default one that suits the files, and the shots."""
     from rlbench import registry
     from rlbench.denoise import check_denoises_means
-    from rlbench.denoise_files import GapError, NoMotionError, find_noisy_sequences
+    from rlbench.denoising.files import GapError, NoMotionError, find_noisy_sequences
 
     def find(name: str) -> list[NoisySequence]:
         check_denoises_means(name)
@@ -201,6 +216,21 @@ def _find(
     if all(len(shot) == 1 for shot in shots):
         return DEFAULT_ALONE, find(DEFAULT_ALONE)
     return DEFAULT_METHOD, shots
+
+
+def _check_memory(name: str, method: Method, shots: Sequence[NoisySequence]) -> list[str]:
+    """How much memory large frames take. Raises DenoiseError where there is not enough."""
+    from rlbench.denoise import DenoiseError, estimate_memory
+    from rlbench.system.memory import available_memory
+
+    sizes = [(shot.sequence.height, shot.sequence.width) for shot in shots]
+    h, w = max(sizes, key=lambda size: size[0] * size[1])
+    needed, free = estimate_memory(method, h, w), available_memory()
+    need = f"frames of {w}x{h} take up to {needed / 2**30:.1f} GB of memory by {name}"
+    if free is not None and needed > free:
+        hint = f"; -m {DEFAULT_ALONE} works in tiles" * method.traits.temporal
+        raise DenoiseError(f"{need}, and {free / 2**30:.1f} GB are free{hint}")
+    return [need] if needed > LARGE else []
 
 
 def _notes(method: str, shot: NoisySequence) -> list[str]:

@@ -11,7 +11,7 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 
 from rlbench import registry
-from rlbench.checks.result import CheckResult, passed, warning
+from rlbench.checks.result import CheckResult, not_applicable, passed, warning
 from rlbench.cli import options
 from rlbench.cli.json_output import show_checks
 from rlbench.cli.methods import load_plugins
@@ -81,7 +81,7 @@ def _check_devices() -> Iterator[CheckResult]:
         yield passed("cuda", provenance.machine().gpu)
         yield passed("cuda bfloat16", bfloat16.describe_bf16("cuda"))
     else:
-        yield passed("cuda", "no device; everything runs on the processor")
+        yield not_applicable("cuda", "no device; everything runs on the processor")
 
 
 def _check_openvino() -> CheckResult:
@@ -110,7 +110,7 @@ def _check_cycles() -> Iterator[CheckResult]:
     version, python = process.bpy_version(), process.interpreter()
     if not version:
         found = f"not installed in {python}; a second path tracer for .blend, USD and glTF"
-        yield passed("extra cycles", f"{found}: {process.INSTALL_HINT}")
+        yield not_applicable("extra cycles", f"{found}: {process.INSTALL_HINT}")
     elif version != process.TESTED_BPY_VERSION:
         found = f"bpy {version} in {python}; rlbench was tested with {process.TESTED_BPY_VERSION}"
         yield warning("extra cycles", found, f"pip install bpy=={process.TESTED_BPY_VERSION}")
@@ -161,10 +161,11 @@ def _check_plugins() -> Iterator[CheckResult]:
 def _check_extras() -> Iterator[CheckResult]:
     for extra, (purpose, modules) in EXTRAS.items():
         missing = [name for name in modules if importlib.util.find_spec(name) is None]
-        found = "installed"
         if missing:
             found = f"{', '.join(missing)} not installed: pip install 'rlbench[{extra}]'"
-        yield passed(f"extra {extra}", f"{purpose}; {found}")
+            yield not_applicable(f"extra {extra}", f"{purpose}; {found}")
+        else:
+            yield passed(f"extra {extra}", f"{purpose}; installed")
 
 
 def _size_gib(folder: Path) -> float:

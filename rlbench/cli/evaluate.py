@@ -65,10 +65,10 @@ def evaluate(
     from rlbench.benchmark.cell_images import find_kept_cells, image_pools
     from rlbench.benchmark.evaluation import select_metrics
     from rlbench.cli import console
-    from rlbench.system.paths import check_writable
+    from rlbench.system.paths import check_no_link, check_writable
 
     selected = select_metrics(split_names(metrics) or ["psnr"], split_names(convention))
-    target = out or results / "evaluated"
+    target = out or check_no_link(results, results / "evaluated")
     check_writable(target)
     pools = image_pools(results)
     sources = select_clips(clips, split_names(scenes), preset, takes, pool_kinds=pools)

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from rlbench.cli.options import number, option
+from rlbench.errors import OptionError
 
 if TYPE_CHECKING:
     from rlbench.clips.importers.sequence import ImportedSequence
@@ -21,6 +22,9 @@ def import_(
             metavar="SOURCE", exists=True, file_okay=False, help="folder of rendered frames"
         ),
     ],
+    out: Annotated[
+        Path, option(None, "parent folder of the clips", value="FOLDER", file_okay=False)
+    ],
     layout: Annotated[
         str,
         option(
@@ -31,10 +35,7 @@ def import_(
             "--format",
             value="NAME|FILE",
         ),
-    ],
-    out: Annotated[
-        Path, option(None, "parent folder of the clips", value="FOLDER", file_okay=False)
-    ],
+    ] = "",
     frames: Annotated[
         str | None, option(None, "frames before END; default: all", value="FIRST:END")
     ] = None,
@@ -83,6 +84,12 @@ def import_(
     from rlbench.clips.importers.sequence import parse_frame_range
     from rlbench.system.paths import check_writable
 
+    if not layout:
+        raise OptionError(
+            f"--layout is missing: rlbench lint --guess {source} writes one for these files. Ready "
+            "ones are falcor, unreal, blender, mitsuba, nrd-sample, oidn, noisebase and "
+            "rl-path-tracing"
+        )
     check_writable(out)
     frame_range = parse_frame_range(frames) if frames else None
     clips = [

@@ -34,11 +34,11 @@ class RunOutput:
         str, int
     ]  # number of cells by what happened to them: measured, cached, skipped, ...
     scores: list[dict[str, Any]]
-    # method, spp, clips, psnr, psnr_debiased, inference_ms, frame_ms, unreliable
+    # method, spp, clips, psnr, psnr_debiased, inference_ms, frame_ms, and the uncertainty of both
     failed: list[str]  # cells that an error stopped
     nonfinite: list[dict[str, Any]]  # cell, frame, pixels, of_pixels
     missing: list[str]  # why clips have no score or no sample time
-    remarks: list[str]  # unreliable times, and what to know of scores
+    remarks: list[str]  # uncertain times, and what to know of scores
 
 
 @dataclass(frozen=True)

@@ -14,7 +14,7 @@ Kind = Literal[
     "all", "methods", "metrics", "scenes", "reports", "pools", "presets", "profiles"
 ]  # those of `rlbench.benchmark.listing`
 COLUMNS = {  # of the kinds that have more than these, in their order
-    "methods": ("name", "question", "inputs", "spp", "adaptive", "weights"),
+    "methods": ("name", "question", "inputs", "spp", "adaptive", "recordable", "weights"),
     "metrics": ("name", "unit", "direction", "convention"),
     "presets": ("name", "height", "width", "frames", "reference_spp", "scenes", "takes", "purpose"),
     "scenes by others": ("name", "title", "author", "licence", "MB", "state", "presets"),

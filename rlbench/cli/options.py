@@ -13,7 +13,7 @@ from typing import Annotated, Any, Literal
 import typer
 
 from rlbench.cli import arguments
-from rlbench.cli.arguments import Budgets, Seeds, WeightsChoice
+from rlbench.cli.arguments import Budgets, PixelSize, Seeds, WeightsChoice
 
 METHODS, CLIPS, MEASUREMENT = "Methods", "Clips", "Measurement"  # titles of groups
 TRAINING, EXECUTION, OUTPUT, OTHER = "Training", "Execution", "Output", "Options"
@@ -161,6 +161,15 @@ Preset = Annotated[
         "size and length of the clips: see rlbench list presets",
         value="PRESET",
         complete=complete_names("presets"),
+    ),
+]
+Size = Annotated[
+    PixelSize | None,
+    option(
+        CLIPS,
+        "of the preset's clips in pixels, for rows of preset NAME-WIDTHxHEIGHT; default: its own",
+        value="WIDTHxHEIGHT",
+        parse=arguments.parse_size,
     ),
 ]
 Takes = Annotated[

@@ -13,6 +13,7 @@ from rlbench.cli import options
 from rlbench.cli.arguments import split_names
 from rlbench.cli.methods import load_plugins
 from rlbench.cli.options import MEASUREMENT, OUTPUT, file, flag, folder, option
+from rlbench.cli.verbosity import note
 from rlbench.errors import OptionError, RlbenchError
 from rlbench.registry.near_names import unknown_name
 
@@ -71,10 +72,11 @@ def regress(
 ) -> None:
     """Compare scores, and ratios of times, with a baseline.
 
-    The exit code is 1 if a score fell by more than its cell is allowed, if a cell is missing, or if
-    a ratio of times exceeds its gate beyond doubt. Smaller falls are shown. --update writes a
-    baseline of your own; where the results have several seeds, each cell is allowed what reruns
-    vary by.
+    With a baseline that ships, the rows of the results are compared; with -m all, or a baseline of
+    your own, a row that the results lack is missing. The exit code is 1 if a score fell by more
+    than its cell is allowed, if a cell of such a row is missing, or if a ratio of times exceeds its
+    gate beyond doubt. Smaller falls are shown. --update writes a baseline of your own; where the
+    results have several seeds, each cell is allowed what reruns vary by.
 
     Examples:
 
@@ -99,6 +101,7 @@ def regress(
         return
     rows = read(results)
     expected = load_baseline(find_baseline(baseline, only_preset(rows)))
+    names = _compared_rows(names, rows, expected, baseline)
     if names:
         rows, expected = select_baseline(rows, expected, names)
     comparison = compare(rows, expected, subset=bool(names))
@@ -116,6 +119,22 @@ def regress(
         write_summary(comparison, crops, summary)
         append_to_job_summary(comparison, crops)
     raise typer.Exit(0 if comparison.has_passed else 1)
+
+
+def _compared_rows(
+    names: list[str], rows: pd.DataFrame, expected: Baseline, baseline: str
+) -> list[str]:
+    """The methods to compare; empty for all. By default, of a baseline that ships, the measured."""
+    from rlbench.benchmark.regression.baseline import shipped_baselines
+
+    if names == ["all"] or not (names or not baseline or baseline in shipped_baselines()):
+        return []
+    if names:
+        return names
+    measured = set(rows["method"])
+    count = len({entry.method for entry in expected.entries} - measured)
+    note(f"{count} rows of the baseline are not in the results and not compared; -m all needs them")
+    return sorted(measured)
 
 
 def select_baseline(

@@ -26,9 +26,9 @@ if TYPE_CHECKING:
     from rlbench.render.user.clip import UserSceneOptions
 
 OF_PRESETS = (
-    "scenes", "takes", "radiance_cap", "buffers", "remeasure_sample_time", "digests"
+    "scenes", "takes", "radiance_cap", "buffers", "remeasure_sample_time", "digests", "motion"
 )  # fmt: skip
-OF_FILES = ("camera", "frames", "size", "exposure", "skip_missing", "define", "tracer", "out")
+OF_FILES = ("camera", "frames", "exposure", "skip_missing", "define", "tracer", "sky", "out")
 SCENE_FILE, PRESET_SCENES = "Of your own FILE", "Of a preset"  # titles of groups of options
 PBRT = (
     "scene file {file}: neither Mitsuba nor Cycles reads pbrt. Convert it to Mitsuba's XML: "
@@ -43,10 +43,19 @@ def render(
         Path | None,
         typer.Argument(
             metavar="FILE",
-            help="a scene of your own: .xml (Mitsuba), .py, .blend, .usd, .glb, .gltf, .fbx, .obj",
+            help="a scene of your own: .xml (Mitsuba), .py, .gltf, .glb, .blend, .usd, .fbx, .obj",
         ),
     ] = None,
     preset: options.Preset = "mini",
+    size: Annotated[
+        PixelSize | None,
+        option(
+            CLIPS,
+            "in pixels; default: that of the preset, or the film's shape with as many pixels",
+            value="WIDTHxHEIGHT",
+            parse=parse_size,
+        ),
+    ] = None,
     scenes: options.Scenes = None,
     seeds: Annotated[
         Seeds | None,
@@ -68,15 +77,6 @@ def render(
     ] = None,
     frames: Annotated[
         int | None, option(SCENE_FILE, "default: as in the preset, or the matrices", min=1)
-    ] = None,
-    size: Annotated[
-        PixelSize | None,
-        option(
-            SCENE_FILE,
-            "in pixels; default: the film's shape, as many pixels as the preset",
-            value="WIDTHxHEIGHT",
-            parse=parse_size,
-        ),
     ] = None,
     out: Annotated[
         Path | None,
@@ -116,6 +116,14 @@ def render(
         Literal["mitsuba", "cycles"] | None,
         option(SCENE_FILE, "default: the one that reads the file"),
     ] = None,
+    sky: Annotated[
+        str | None,
+        option(
+            SCENE_FILE,
+            "add light: a radiance such as 1, sun, or a .hdr or .exr environment map",
+            value="SKY",
+        ),
+    ] = None,
     takes: options.Takes = None,
     radiance_cap: Annotated[
         float | None,
@@ -149,6 +157,14 @@ def render(
             "print the name of each clip and the hash of its pixels, not its folder",
         ),
     ] = False,
+    motion: Annotated[
+        bool,
+        flag(
+            PRESET_SCENES,
+            "--motion",
+            "also print the motion of each clip and of all, in pixels a frame: median and 95 %",
+        ),
+    ] = False,
 ) -> None:
     """Render the clips of a preset, or of your own scene file.
 
@@ -162,6 +178,7 @@ def render(
       rlbench render
       rlbench render --preset train --seeds 0:40
       rlbench render --scenes city,hall-cut --preset standard
+      rlbench render --preset development --size 640x360 --motion
       rlbench render --radiance-cap 64
       rlbench render --buffers object,normal_psr
       rlbench render --preset standard --engine ray --ray-address auto
@@ -170,6 +187,7 @@ def render(
       rlbench render kitchen/scene.xml --camera dolly --frames 20 --size 320x192
       rlbench render kitchen/scene.xml --camera wander --seeds 0:20 --out clips/kitchen
       rlbench render mine.py --camera path.json --out clips/mine
+      rlbench render room.glb --camera wander --sky 1
       rlbench render atrium.blend --frames 20 -D max_bounces=6
     """
     _refuse_options_of_the_other(context, file)
@@ -189,10 +207,14 @@ def render(
                 split_names(buffers),
                 executor,
                 takes=takes,
+                size=size,
             )
             for each in folders:
                 times = _remeasure(each) if remeasure_sample_time else ""
-                typer.echo(f"{_digest(each) if digests else each}{times}")
+                moves = _motion([each]) if motion else ""
+                typer.echo(f"{_digest(each) if digests else each}{times}{moves}")
+            if motion:
+                typer.echo(f"all {len(folders)} clips{_motion(folders)}")
             return
         from rlbench.render.presets import get_preset
         from rlbench.render.user.clip import UserSceneOptions
@@ -207,9 +229,10 @@ def render(
             out=out,
             seed=seeds[0] if seeds else None,
             skip_missing=skip_missing,
+            sky=sky or "",
         )
         for clip in _each_seed(scene, seeds or Seeds(())):
-            typer.echo(_render_clip(clip, get_preset(preset), tracer, executor))
+            typer.echo(_render_clip(clip, get_preset(preset, size), tracer, executor))
 
 
 def _refuse_options_of_the_other(context: typer.Context, file: Path | None) -> None:
@@ -231,6 +254,14 @@ def _digest(folder: Path) -> str:
 
     clip = open_clip(folder)
     return f"{clip.name} {clip.digest[:12]}"
+
+
+def _motion(folders: list[Path]) -> str:
+    """The motion of clips in words."""
+    from rlbench.clips.motion import measure_motion
+
+    median, high = measure_motion(folders)
+    return f"  motion in pixels a frame: median {median:.1f}, 95 % {high:.1f}"
 
 
 def _remeasure(folder: Path) -> str:
@@ -291,8 +322,9 @@ def select_tracer(file: Path, tracer: str | None) -> str:
     Raises OptionError if no tracer, or not the requested one, reads it.
     """
     from rlbench.render.cycles.scene_file import FORMATS
+    from rlbench.render.gltf.document import FORMATS as GLTF
 
-    formats = {"mitsuba": (".xml", ".py"), "cycles": FORMATS}
+    formats = {"mitsuba": (".xml", ".py", *GLTF), "cycles": FORMATS}
     if file.suffix.lower() == ".pbrt":
         raise OptionError(PBRT.format(file=file))
     readers = [name for name, suffixes in formats.items() if file.suffix.lower() in suffixes]
@@ -301,4 +333,4 @@ def select_tracer(file: Path, tracer: str | None) -> str:
         raise OptionError(f"scene file {file}: no tracer reads it. {supported}")
     if tracer not in (None, *readers):
         raise OptionError(f"--tracer {tracer} does not read {file.name}. {supported}")
-    return readers[0]
+    return tracer or readers[0]

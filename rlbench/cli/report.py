@@ -19,7 +19,7 @@ from rlbench.cli.selection import find_images, read_rows
 from rlbench.cli.verbosity import note
 from rlbench.errors import OptionError, RlbenchError
 from rlbench.registry.near_names import unknown_name
-from rlbench.system.paths import check_writable
+from rlbench.system.paths import check_no_link, check_writable
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -76,9 +76,13 @@ def report(
     """
     load_plugins(plugin)
     from reports.analysis.rows import charge_gbuffer
+    from rlbench.benchmark.results import UNFINISHED
 
-    writers, target = _find_writers(name), out or results / "report"
+    writers = _find_writers(name)
+    target = out or check_no_link(results, results / "report")
     rows = charge_gbuffer(read_rows(results, methods), gbuffer_ms)
+    if (results / UNFINISHED).exists():
+        note(f"{results}: rlbench evaluate did not finish, so scores are missing; repeat it")
     names = split_names(methods)
     others = _read_others(name, [Path(each) for each in split_names(against)])
     check_writable(target)

@@ -24,6 +24,7 @@ def run(
     plugin: options.Plugins = None,
     scenes: options.Scenes = None,
     preset: options.Preset = "mini",
+    size: options.Size = None,
     clips: options.Clips = None,
     spp: options.Spp = options.DEFAULT_SPP,
     cost: options.Cost = "measured",
@@ -69,9 +70,13 @@ def run(
     ] = None,
     repeats: options.Repeats = 10,
     retime: Annotated[
-        bool,
-        flag(MEASUREMENT, "--retime", "measure the times of existing cells again, and no scores"),
-    ] = False,
+        Literal["uncertain", "all"] | None,
+        option(
+            MEASUREMENT,
+            "measure times of existing cells again, and no scores: those that are uncertain, the "
+            "clips' time of a sample too, or all",
+        ),
+    ] = None,
     scores_only: Annotated[
         bool,
         flag(
@@ -97,6 +102,14 @@ def run(
             callback=config_file.use,
         ),
     ] = None,
+    allow_plugins: Annotated[
+        bool,
+        flag(
+            EXECUTION,
+            "--allow-plugins",
+            "let the file of --config name plugin files and a Ray cluster, which run code",
+        ),
+    ] = False,
 ) -> None:
     """Score and time methods on clips, and add the results.
 
@@ -114,18 +127,21 @@ def run(
       rlbench run -m ours -m 'oidn/*' --scenes city --spp 1,4 --cost paper-2080ti --out paper
       rlbench run -m mine --plugin mine.py --clips my_renders/ --out mine
       rlbench run -m ours,mean --draws 4 --out draws
+      rlbench run -m ours,oidn --preset development --size 640x360 --out large
       rlbench run -m ours --scenes temple --pool live --out live
       rlbench run -m ours,oidn --weights ours=runs/ours/ours.safetensors
       rlbench run -m ours --weights seed1=runs/seed1/ours/ours.safetensors
       rlbench run --config results/run.toml --out again
+      rlbench run --config mine/run.toml --allow-plugins --out again
       rlbench run -m ours,oidn --bf16
       rlbench run -m ours,oidn --backend openvino
       rlbench run -m eaw/still --spp 0.25 --skip-tiles
-      rlbench run -m ours,oidn --retime
+      rlbench run --config results/run.toml --retime uncertain
       rlbench run -m ours,oidn --scores-only
       rlbench run -m ours,oidn --keep-images
       rlbench run -m all --preset standard --takes main --engine ray --out large
     """
+    config_file.check_trusted(context, config, allow_plugins)
     seeds = _sample_orders(seed, draws)
     if scores_only:
         wait_asleep()  # before a plugin imports torch
@@ -137,7 +153,9 @@ def run(
     from rlbench.cli import console, json_output
     from rlbench.parallel.ray_executor import open_executor
 
-    if retime:
+    if retime:  # what the cells' own run wrote into its file says nothing of this one
+        scores_only &= config_file.is_typed(context, "scores_only")
+        keep_images &= config_file.is_typed(context, "keep_images")
         check_times_alone(scores_only, keep_images)
     warn_without_networks(names, bf16, chosen)
     with open_executor(engine, ray_address) as executor:
@@ -147,6 +165,7 @@ def run(
             spp=spp,
             scenes=split_names(scenes),
             preset=preset,
+            size=size,
             takes=takes,
             clips=clips,
             pool=pool,

@@ -18,6 +18,8 @@ if TYPE_CHECKING:
     from rlbench.scenes.collection.catalog import CollectionScene
     from rlbench.scenes.collection.download import Fetched
 
+HIDDEN = ("files", "main", "sky", "camera")  # of a scene, in its row
+
 
 def _complete(incomplete: str) -> list[str]:
     from rlbench.scenes.collection.catalog import load_catalog
@@ -142,7 +144,7 @@ def _fetch(entry: CollectionScene, out: Path | None) -> Fetched:
     from rlbench.scenes.collection.download import get
     from rlbench.system.progress import LoggedProgress
 
-    columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn())
+    columns = (TextColumn("{task.description}", markup=False), BarColumn(), MofNCompleteColumn())
     with LoggedProgress(*columns) as bar:
         task = bar.add_task(entry.name, total=len(entry.files))
         return get(entry.name, out, lambda file: bar.advance(task))
@@ -171,7 +173,7 @@ def _row(entry: CollectionScene) -> dict[str, Any]:
 
     located = find_located(entry)
     return {
-        **{key: value for key, value in vars(entry).items() if key != "files"},
+        **{key: value for key, value in vars(entry).items() if key not in HIDDEN},
         "presets": list(entry.presets),
         "files": len(entry.files),
         "bytes": entry.bytes,

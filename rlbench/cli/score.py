@@ -83,6 +83,7 @@ def score(
     from rlbench.benchmark.api import select_clips
     from rlbench.benchmark.foreign_images import (
         Claim,
+        check_budget,
         check_name,
         find_foreign_images,
         score_foreign_images,
@@ -97,6 +98,7 @@ def score(
     sources = select_clips(clips, split_names(scenes), preset, takes)
     found = find_foreign_images(folder, sources, samples)
     claim = Claim(name, spp, ms, device, exposed)
+    check_budget(spp, sources)
     with console.counting("scoring images", sum(len(each.images) for each in found)) as advance:
         scored = score_foreign_images(claim, found, out, advance)
     for each in scored:

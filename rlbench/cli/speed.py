@@ -19,7 +19,7 @@ from rlbench.cli.methods import expand_methods, load_rows
 from rlbench.cli.options import MEASUREMENT, METHODS, file, flag, folder, number, option
 from rlbench.errors import OptionError
 
-SIZES = PixelSizes((PixelSize((192, 192)), PixelSize((720, 720)), PixelSize((1080, 1920))))
+SIZES = PixelSizes((PixelSize(192, 192), PixelSize(720, 720), PixelSize(1080, 1920)))
 
 
 def speed(
@@ -65,9 +65,9 @@ def speed(
 
     No score is measured. Frames are generated, so nothing is rendered. Writes speed.csv and
     speed.md: times of the parts of inference, parameters, multiply-adds per pixel, their share of
-    the machine's peak, bytes of state per pixel, and memory. A time that a busy machine spoiled has
-    a note. A method that an error stopped is named with its reason, and the exit code is then 1.
-    --as-cost leaves out times with a note.
+    the machine's peak, bytes of state per pixel, and memory. A time that is uncertain, because the
+    machine was busy, says by how much. A method that an error stopped is named with its reason, and
+    the exit code is then 1.
 
     Examples:
 

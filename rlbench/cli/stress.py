@@ -38,7 +38,8 @@ def stress(
     It tests numerical stability: a test passes, is degraded or fails, by a figure and two limits.
     Learned methods run with their shipped weights, or --weights; rows without any are skipped.
     Results are stored per method and section, and reused while code and weights are the same. The
-    exit code is 1 if a test failed.
+    exit code is 1 if a test failed. Whether a method reads the reference or samples that it did not
+    draw is tested by rlbench check alone.
 
     Without --methods, every row that does not borrow the weights of another is tested. Sections of
     the suite itself (allocation, metrics, gradients) run without --methods or if --only names them.

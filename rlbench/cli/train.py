@@ -63,6 +63,7 @@ def train(
             complete=complete_names("presets"),
         ),
     ] = None,
+    size: options.Size = None,
     seeds: options.SceneSeeds = None,
     mix: Annotated[
         float | None,
@@ -189,6 +190,7 @@ def train(
       rlbench train -m ours --seeds 0:40 --train-spp 0.5,1
       rlbench train -m ours --clips my_clips/ --preset train --mix 0.7
       rlbench train -m ours --clips 'shots/*' --validate development,mine=held_out/ --keep best
+      rlbench train -m ours --preset train-windows,train-hard-windows --start ours
       rlbench train -m ntas --holdout hall --preset standard
       rlbench train -m ours/paper --start ours/paper-A2 --frames 20000
       rlbench train -m ours --start ours --anchor 30 --frames 30000
@@ -201,6 +203,7 @@ def train(
         train_queue.run_command(context)
         return
     load_plugins(plugin)
+    preset = _at_size(preset, size, holdout, clips)
     names = trainable_methods(methods or ["all"])  # before torch
     from rlbench.parallel.executor import TimeLimit, TimeLimitedExecutor
     from rlbench.system.paths import check_writable
@@ -256,7 +259,20 @@ def train(
             typer.echo(f"{name}: the old run is now in {archived}")
         weights = runs.train(name, split, holdout)
         typer.echo(f"{name}: {folder}")
+        _say_if_stopped(name, weights, config.frames, minutes)
         _name_next_command(name, weights, plugin)
+
+
+def _say_if_stopped(name: str, weights: Path, frames: int, minutes: float | None) -> None:
+    """Say that the time of a training ended before its crops, and how to go on."""
+    from rlbench.weights import read_card
+
+    seen = read_card(weights).frames_seen if weights.is_file() else 0
+    if minutes is not None and seen < frames:
+        note(
+            f"{name}: stopped after --minutes {minutes:g} with {seen} of {frames} crops; the same "
+            "command goes on from there"
+        )
 
 
 def _name_next_command(name: str, weights: Path, plugin: list[Path] | None) -> None:
@@ -264,6 +280,23 @@ def _name_next_command(name: str, weights: Path, plugin: list[Path] | None) -> N
     if weights.is_file():
         words = ["rlbench", "run", "-m", name, "--weights", f"{name}={weights}"]
         note(f"score it: {shlex.join(words)}{plugin_words(plugin)}")
+
+
+def _at_size(
+    preset: str | None,
+    size: tuple[int, int] | None,
+    holdout: str | None,
+    clips: list[str] | None,
+) -> str | None:
+    """The names of the presets, a or a,b, at `size` pixels (height, width)."""
+    if size is None:
+        return preset
+    if clips and preset is None:
+        raise OptionError("--size is that of a preset's clips, and --clips names yours. Omit it")
+    from rlbench.render.presets import get_preset
+
+    names = split_names([preset or ("mini" if holdout else "train")])
+    return ",".join(get_preset(name, size).name for name in names)
 
 
 def _mix_share(
@@ -281,14 +314,14 @@ def _mix_share(
 
 def _announce_rendering(preset: str | None, seeds: Seeds | None, clips: list[str] | None) -> None:
     """Say how many training clips are rendered before the training begins."""
-    from rlbench.render.presets import PRESETS
+    from rlbench.render.presets import find_preset
     from rlbench.training import dataset
 
     if clips and preset is None and seeds is None:
         return
     names = split_names([preset or "train"])
     # an error that suggests the nearest name follows for others
-    counts = [dataset.count_unrendered(name, seeds) for name in names if name in PRESETS]
+    counts = [dataset.count_unrendered(name, seeds) for name in names if find_preset(name)]
     missing, total = (sum(numbers) for numbers in zip((0, 0), *counts, strict=True))
     if missing:
         note(

@@ -75,6 +75,7 @@ def view(
         load_plugins(plugin)
         import reports.viewer
         from reports.analysis.rows import charge_gbuffer
+        from rlbench.benchmark.run_outcome import uncertainty_remark
 
         rows = charge_gbuffer(read_rows(results, methods, scenes), gbuffer_ms)
         clips_to_show, reason = find_images(results, rows, clips, spp)
@@ -83,6 +84,7 @@ def view(
         remarks += reports.viewer.write(
             rows, target, list(clips_to_show), traits, remarks, int(max_mb * 1e6)
         )
+        remarks += uncertainty_remark(rows, results)
     typer.echo(target)
     for remark in remarks:
         typer.echo(remark, err=True)

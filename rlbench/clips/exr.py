@@ -18,7 +18,9 @@ import numpy as np
 import OpenEXR
 from numpy.typing import NDArray
 
+from rlbench.clips.exr_attributes import BY_LIBRARY, hide_attributes
 from rlbench.clips.header import MAX_PIXELS, ClipError
+from rlbench.clips.primaries import Chromaticities, find_chromaticities, format_chromaticities
 from rlbench.errors import RlbenchError
 from rlbench.system.paths import atomic_write, write_error
 
@@ -32,10 +34,6 @@ PART_TYPES = {  # of a multi-part file: its flags
     b"deepscanline": DEEP,
     b"deeptile": DEEP | TILED,
 }
-LOSSY = (
-    *(OpenEXR.PXR24_COMPRESSION, OpenEXR.B44_COMPRESSION, OpenEXR.B44A_COMPRESSION),
-    *(OpenEXR.DWAA_COMPRESSION, OpenEXR.DWAB_COMPRESSION),
-)
 MAX_PARTS = 256
 MAX_NAME, MAX_LONG_NAME = 31, 255  # bytes
 MAX_CHANNELS = 4096
@@ -43,7 +41,9 @@ MAX_COORDINATE = 2**30  # of the data window, so that differences are 32-bit
 MAX_IMAGE_BYTES = 2**34  # of all channels, unpacked
 CHUNK_BYTES = 16  # the least that a chunk takes: an offset in the table, a line number and a size
 PIXEL_TYPES = {0: "UINT", 1: "HALF", 2: "FLOAT"}
-CHUNK_LINES = (1, 1, 1, 16, 32, 16, 32, 32, 32, 256, 256, 32)  # by compression, as in the format
+CHUNK_LINES = (  # by compression, as in the format; the last are HTJ2K, LJ2K and ZSTD
+    *(1, 1, 1, 16, 32, 16, 32, 32, 32, 256, 256, 32, 256, 32),
+)
 VALUE_BYTES = {  # attributes that decide pixels: type and size
     "channels": ("chlist", None),
     "compression": ("compression", 1),
@@ -53,6 +53,7 @@ VALUE_BYTES = {  # attributes that decide pixels: type and size
 }
 TILES = ("tiledesc", 9)
 PART_BYTES = {"name": ("string", None), "type": ("string", None)}  # of a multi-part file
+COLOUR_BYTES = {"chromaticities": ("chromaticities", 32), "colorInteropID": ("string", None)}
 
 Window = tuple[int, int, int, int]  # first x, first y, last x, last y; pixels
 
@@ -110,6 +111,14 @@ def read_planes(path: Path, header: ExrHeader, names: Sequence[str]) -> list[NDA
     """
     if header.is_deep:
         raise DeepImageError
+    try:
+        return _decode_planes(path, header, names)
+    except BY_LIBRARY:
+        with hide_attributes(path) as (copy, _):  # damage of pixels is found once more
+            return _decode_planes(copy, header, names)
+
+
+def _decode_planes(path: Path, header: ExrHeader, names: Sequence[str]) -> list[NDArray[Any]]:
     if not header.is_part:
         packed = OpenEXR.InputFile(str(path)).channels(list(names))
         dtypes = [DTYPES[header.channels[name].pixel_type] for name in names]
@@ -122,46 +131,6 @@ def read_planes(path: Path, header: ExrHeader, names: Sequence[str]) -> list[NDA
         if header.name not in decoded:
             raise ExrHeaderError(f"its part '{header.name}' is damaged or unfinished")
         return [np.array(decoded[header.name][name].pixels) for name in names]
-
-
-def replace_channels(
-    source: Path, target: Path, header: ExrHeader, planes: Mapping[str, NDArray[np.floating]]
-) -> None:
-    """Write a copy of a file, atomically, in which some channels of one part have other pixels.
-
-    `header` is that of the part in `source`, `planes` are [h w] of its display window, and are
-    stored in the types that the channels have; half numbers end at 65504. Attributes, other
-    channels and other parts stay, bit by bit: a file that is packed with loss is written as ZIP.
-    Raises ExrHeaderError for a damaged part, and WriteError.
-    """
-    with OpenEXR.File(str(source), separate_channels=True) as file:
-        parts = {part.name() if header.is_part else "": part for part in file.parts}
-        if header.name not in parts or len(file.parts) != len(read_exr_parts(source)):
-            raise ExrHeaderError("one of its parts is damaged or unfinished")
-        left, top, right, bottom = header.data_window
-        x, y = header.display_window[:2]
-        h, w = header.display_size
-        rows = slice(max(top, y), min(bottom, y + h - 1) + 1)
-        columns = slice(max(left, x), min(right, x + w - 1) + 1)
-        for name, plane in planes.items():
-            channel = parts[header.name].channels[name]
-            pixels = channel.pixels.copy()
-            most = np.finfo(pixels.dtype).max
-            inside = plane[_shift(rows, y), _shift(columns, x)].clip(-most, most)
-            pixels[_shift(rows, top), _shift(columns, left)] = inside
-            channel.pixels = pixels
-        for part in file.parts:
-            if part.header["compression"] in LOSSY:
-                part.header["compression"] = OpenEXR.ZIP_COMPRESSION
-        with atomic_write(target) as temporary:
-            try:
-                file.write(str(temporary))
-            except RuntimeError as error:
-                raise write_error(target, error) from error
-
-
-def _shift(side: slice, by: int) -> slice:
-    return slice(side.start - by, side.stop - by)
 
 
 def channel_dtype(path: Path, name: str) -> type[np.floating]:
@@ -188,6 +157,11 @@ def _check(path: Path, header: ExrHeader, names: Sequence[str], h: int, w: int) 
         raise ClipError(
             f"{path} has the data window {header.data_window}, expected its display window "
             f"{header.display_window}: the images of a clip are whole"
+        )
+    if primaries := header.primaries:
+        raise ClipError(
+            f"{path} has the chromaticities {format_chromaticities(primaries)}; the images of a "
+            "clip have those of Rec. 709. Convert it, or import its source: rlbench import"
         )
     channels = header.channels
     if missing := [name for name in names if name not in channels]:
@@ -241,16 +215,26 @@ class ExrHeader:
     is_part: bool = False  # of a multi-part file
     name: str = ""  # of the part
     is_deep: bool = False
+    chromaticities: Chromaticities | None = None  # as the file has them, see `primaries`
+    colour_space: str = ""  # its colorInteropID
+
+    @property
+    def primaries(self) -> Chromaticities | None:
+        """What R, G and B mean; None for Rec. 709. Raises ExrHeaderError where that is unclear."""
+        try:
+            return find_chromaticities(self.chromaticities, self.colour_space)
+        except ValueError as error:
+            raise ExrHeaderError(str(error)) from error
 
     @property
     def size(self) -> tuple[int, int]:
         """Height and width of the data window, pixels."""
-        return _size(self.data_window)
+        return window_size(self.data_window)
 
     @property
     def display_size(self) -> tuple[int, int]:
         """Height and width of the display window, pixels."""
-        return _size(self.display_window)
+        return window_size(self.display_window)
 
 
 def read_exr_header(path: Path) -> ExrHeader:
@@ -261,6 +245,8 @@ def read_exr_header(path: Path) -> ExrHeader:
     """
     with path.open("rb") as file:
         size = os.fstat(file.fileno()).st_size
+        if not size:
+            raise ExrHeaderError("it is empty")
         flags = _read_flags(file)
         if flags & MULTI_PART:
             raise ExrHeaderError("it has several parts; only single-part images are read")
@@ -294,7 +280,15 @@ def read_exr_parts(path: Path) -> list[ExrHeader]:
             if name in (each.name for each in headers):
                 raise ExrHeaderError(f"it has two parts named '{name}'")
             headers.append(replace(header, is_part=True, name=name, is_deep=bool(kind & DEEP)))
-        return headers
+        return [_share_colours(header, headers) for header in headers]
+
+
+def _share_colours(header: ExrHeader, parts: Sequence[ExrHeader]) -> ExrHeader:
+    """The header of a part; what it does not say of colours is as in the first that does."""
+    if header.chromaticities or header.colour_space:
+        return header
+    first = next((each for each in parts if each.chromaticities or each.colour_space), header)
+    return replace(header, chromaticities=first.chromaticities, colour_space=first.colour_space)
 
 
 def _read_flags(file: BinaryIO) -> int:
@@ -316,7 +310,7 @@ def _read_attributes(file: BinaryIO, size: int, flags: int) -> dict[str, bytes]:
     longest = MAX_LONG_NAME if flags & LONG_NAMES else MAX_NAME
     needed = VALUE_BYTES | ({"tiles": TILES} if flags & TILED else {})
     needed |= PART_BYTES if flags & MULTI_PART else {}
-    used = needed | ({"tiles": TILES} if flags & MULTI_PART else {})
+    used = needed | COLOUR_BYTES | ({"tiles": TILES} if flags & MULTI_PART else {})
     seen: set[str] = set()
     values: dict[str, bytes] = {}
     while name := _read_name(file, longest):
@@ -339,7 +333,14 @@ def _read_attributes(file: BinaryIO, size: int, flags: int) -> dict[str, bytes]:
 def _check_header(attributes: dict[str, bytes], flags: int, remaining: int) -> ExrHeader:
     """The header, if its parts agree with each other and with the `remaining` bytes of the file."""
     windows = [_window(name, attributes[name]) for name in ("dataWindow", "displayWindow")]
-    header = ExrHeader(_read_channels(attributes["channels"]), windows[0], windows[1])
+    stored = attributes.get("chromaticities")
+    header = ExrHeader(
+        _read_channels(attributes["channels"]),
+        windows[0],
+        windows[1],
+        chromaticities=struct.unpack("<8f", stored) if stored else None,
+        colour_space=attributes.get("colorInteropID", b"").decode("ascii", "replace"),
+    )
     height, width = header.size
     pixel_bytes = sum(2 if c.pixel_type == "HALF" else 4 for c in header.channels.values())
     if height * width > MAX_PIXELS:
@@ -366,7 +367,7 @@ def _check_header(attributes: dict[str, bytes], flags: int, remaining: int) -> E
     return header
 
 
-def _size(window: Window) -> tuple[int, int]:
+def window_size(window: Window) -> tuple[int, int]:
     """Height and width of a window, pixels."""
     x_min, y_min, x_max, y_max = window
     return y_max - y_min + 1, x_max - x_min + 1

@@ -36,6 +36,8 @@ def read_pfm(path: Path) -> Float32[Array, "h w c"]:
     """
     content = path.read_bytes()
     found = HEADER.match(content)
+    if not content:
+        raise ClipError(f"{path} is empty")
     if found is None:
         raise ClipError(f"{path} is no PFM: it begins with {content[:12]!r}, expected PF or Pf")
     channels, width, height = CHANNELS[found[1]], int(found[2]), int(found[3])

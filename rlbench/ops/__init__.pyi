@@ -9,6 +9,7 @@ from .accumulation import (
 )
 from .affinity import affinity_sum, cross_affinity_sum
 from .antilag import history_confidence
+from .asking import is_recorded, may_ask
 from .color import OIDN_LUMINANCE, REC709_LUMINANCE, decode_srgb, encode_srgb, luminance
 from .demodulation import (
     demodulation_albedo,
@@ -56,6 +57,7 @@ from .sanitize import (
     sanitize_radiance,
 )
 from .stencils import Tap, atrous_taps
+from .surface_taps import SurfaceTaps, find_surface_taps
 from .transfer import log_forward, log_inverse, pu_forward, pu_inverse, squash_depth
 from .unet import UNet
 from .upsample import UpsampleConcatConv
@@ -65,6 +67,7 @@ __all__ = [
     "REC709_LUMINANCE",
     "AccumulatedRadiance",
     "PaddedRows",
+    "SurfaceTaps",
     "Tap",
     "UNet",
     "UpsampleConcatConv",
@@ -83,6 +86,7 @@ __all__ = [
     "feature_similarity",
     "fill_holes",
     "filtered_albedo",
+    "find_surface_taps",
     "frame_radiance",
     "history_confidence",
     "kaiming_init",
@@ -125,4 +129,6 @@ __all__ = [
     "repair_spp",
     "reproject_radiance",
     "weigh_by_similarity",
+    "is_recorded",
+    "may_ask",
 ]

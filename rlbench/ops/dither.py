@@ -10,12 +10,15 @@ import torch
 from jaxtyping import Int
 from torch import Tensor
 
-__all__ = ["ONE_SHARE", "hash_to_integer", "round_to_total"]
+from rlbench.ops.asking import is_recorded, may_ask
+
+__all__ = ["ONE_SHARE", "hash_to_integers", "round_to_total"]
 
 SHARE_BITS = 32
 ONE_SHARE = 2**SHARE_BITS  # a share of one sample, as an integer
 FRACTION = ONE_SHARE - 1  # mask of a share's fractional part
 THRESHOLD_BITS = 30  # threshold times fraction must stay below 2^63
+HASH_FACTORS = (0x9E3779B97F4A7C15 - 2**64, 0xD1342543DE82EF95 - 2**64)  # odd, as signed integers
 SMALL_LEVEL = 4096  # parts up to which numpy is quicker than torch, which takes longer for a call
 
 Array = Tensor | np.ndarray
@@ -24,13 +27,15 @@ _graphs: dict[tuple[torch.Size, torch.device], _Graph] = {}  # by size, on GPUs
 
 
 def round_to_total(
-    shares: Int[Tensor, "n h w"], total: int, seeds: Sequence[int]
+    shares: Int[Tensor, "n h w"],
+    total: int | Int[Tensor, "n 1 1"],
+    seeds: Sequence[int] | Int[Tensor, " n"],
 ) -> Int[Tensor, "n h w"]:
     """Whole counts that sum to `total` in each image: each share rounded down or up, without bias.
 
     `shares` are in units of 2^-32 (`ONE_SHARE` is one) and must sum to within one of `total`. A
     share is rounded up with the probability of its fractional part, over seeds; there is one seed
-    per image.
+    per image, in [0, 2^57). Seeds and total may be tensors, so that a recorded frame takes others.
 
     The pivotal method of Deville and Tille 1998, with a fixed tournament over the image (spatially
     balanced sampling, as in Stevens and Olsen 2004): halves of the image are halved in turn, along
@@ -46,14 +51,12 @@ def round_to_total(
     >>> round_to_total(half, total=4, seeds=[0]).sum(2).tolist()
     [[2, 2]]
     """
-    _, h, w = shares.shape
+    n, h, w = shares.shape
     levels = (h - 1).bit_length() + (w - 1).bit_length()
-    hashes = [[hash_to_integer(seed, level) for seed in seeds] for level in range(levels)]
-    thresholds = torch.tensor(hashes, dtype=torch.int64, device=shares.device)
-    thresholds = thresholds.view(levels, len(seeds), 1, 1)
-    totals = torch.full((len(seeds), 1, 1), total, device=shares.device)
-    inputs = (shares, totals, thresholds)
-    if not shares.is_cuda:
+    thresholds = hash_to_integers(torch.as_tensor(seeds, device=shares.device), levels)
+    totals = total if isinstance(total, Tensor) else shares.new_full((n, 1, 1), total)
+    inputs = (shares, totals, thresholds.view(levels, n, 1, 1))
+    if not shares.is_cuda or is_recorded(shares):
         return _divide_all(*inputs)
     if (key := (shares.shape, shares.device)) not in _graphs:
         _graphs[key] = _Graph(*inputs)
@@ -68,7 +71,7 @@ def _divide_all(shares: Tensor, totals: Tensor, thresholds: Tensor) -> Tensor:
     levels: list[Array] = [shares]
     while levels[-1].shape[1:] != (1, 1):
         parts = _add_pairs(levels[-1])
-        if isinstance(parts, Tensor) and _is_small(parts):
+        if isinstance(parts, Tensor) and may_ask(parts) and parts[0].numel() <= SMALL_LEVEL:
             parts = parts.numpy()
         levels.append(parts)
     counts: Array = totals
@@ -76,10 +79,6 @@ def _divide_all(shares: Tensor, totals: Tensor, thresholds: Tensor) -> Tensor:
         kind = torch.asarray if isinstance(parts, Tensor) else np.asarray
         counts = _divide(kind(counts), parts, kind(threshold))
     return torch.asarray(counts)
-
-
-def _is_small(parts: Tensor) -> bool:
-    return parts.device.type == "cpu" and parts[0].numel() <= SMALL_LEVEL
 
 
 class _Graph:
@@ -165,10 +164,14 @@ def _alternate(threshold: Array, counts: Array, axis: int) -> Array:
     return thresholds
 
 
-def hash_to_integer(seed: int, level: int) -> int:
-    """A number in [0, 2^30): the top bits after two rounds of a multiplicative hash."""
-    mixed = seed * 64 + level
-    for factor in (0x9E3779B97F4A7C15, 0xD1342543DE82EF95):
-        mixed = (mixed * factor + 1) & (2**64 - 1)
-        mixed ^= mixed >> 32
-    return mixed >> (64 - THRESHOLD_BITS)
+def hash_to_integers(seeds: Int[Tensor, " n"], levels: int) -> Int[Tensor, "levels n"]:
+    """For each level and seed a number in [0, 2^30): the top bits after two rounds of a hash.
+
+    A round is multiplicative, modulo 2^64: products of 64-bit integers keep their low bits.
+    """
+    mixed = seeds * 64 + torch.arange(levels, device=seeds.device)[:, None]
+    for factor in HASH_FACTORS:
+        mixed = mixed * factor + 1
+        mixed = mixed ^ (mixed >> 32 & 0xFFFFFFFF)
+    top_bits: Tensor = mixed >> (64 - THRESHOLD_BITS) & (2**THRESHOLD_BITS - 1)
+    return top_bits

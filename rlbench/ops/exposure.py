@@ -8,6 +8,7 @@ import torch
 from jaxtyping import Bool, Float
 from torch import Tensor
 
+from rlbench.ops.asking import is_recorded
 from rlbench.ops.color import luminance
 
 __all__ = ["autoexposure", "log_average"]
@@ -43,8 +44,9 @@ def log_average(
     h, w = light.shape[-2:]
     light = light[:, 0]
     with torch.autocast(light.device.type, enabled=False):
-        rows = _tile_averaging(h, light.device, light.dtype)
-        columns = _tile_averaging(w, light.device, light.dtype).T
+        make = _tile_averaging if is_recorded(light) else _kept_averaging
+        rows = make(h, light.device, light.dtype)
+        columns = make(w, light.device, light.dtype).T
         tiles = (rows @ light @ columns).flatten(1)
         if known is not None:
             shares = (rows @ known[:, 0].to(light.dtype) @ columns).flatten(1)
@@ -56,8 +58,6 @@ def log_average(
     return average.view(-1, 1, 1, 1)
 
 
-@lru_cache(maxsize=32)
-@torch.inference_mode(False)  # so that it can be used in both modes
 def _tile_averaging(side: int, device: torch.device, dtype: torch.dtype) -> Tensor:
     """Matrix [tiles side] that averages a side over its tiles; tile i starts at i * side // n."""
     count = -(-side // MAX_TILE_SIDE)
@@ -65,3 +65,7 @@ def _tile_averaging(side: int, device: torch.device, dtype: torch.dtype) -> Tens
     pixel = torch.arange(side, device=device)
     inside = (pixel >= bounds[:-1, None]) & (pixel < bounds[1:, None])
     return inside.to(dtype) / (bounds[1:] - bounds[:-1])[:, None]
+
+
+# made outside inference mode, so that it can be used in both modes
+_kept_averaging = lru_cache(maxsize=32)(torch.inference_mode(False)(_tile_averaging))

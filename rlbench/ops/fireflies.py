@@ -2,18 +2,17 @@
 
 from __future__ import annotations
 
-import math
-
 import torch
-from jaxtyping import Float, Int
+from jaxtyping import Bool, Float, Int
 from torch import Tensor
-from torch.nn import functional as F
 
+from rlbench.ops.asking import may_ask
 from rlbench.ops.box_filter import box_mean
 from rlbench.ops.color import luminance
 from rlbench.ops.exposure import log_average
 from rlbench.ops.sanitize import repair_history, sanitize_radiance
 from rlbench.ops.transfer import HALF_MAX
+from rlbench.ops.windows import max_of_neighbours, window_sum
 
 __all__ = [
     "limit_fireflies",
@@ -58,19 +57,22 @@ def limit_fireflies(
 
 def _limit(radiance: Tensor, counts: Tensor) -> tuple[Tensor, Tensor]:
     """`limit_fireflies`, and the mean of each pixel's limited samples."""
+    limit = _limit_suspects if may_ask(radiance) else _limit_everywhere
+    return limit(radiance, counts)
+
+
+def _limit_suspects(radiance: Tensor, counts: Tensor) -> tuple[Tensor, Tensor]:
+    """`_limit`, which works on pixels with an outlier alone."""
     known = counts > 0
-    radii = [_window_radius(share) for share in known.float().mean((1, 2, 3)).tolist()]
+    radii = _window_radius(known).flatten().tolist()
     if len(set(radii)) > 1:
         images = [_limit(radiance[i : i + 1], counts[i : i + 1]) for i in range(len(radii))]
         return torch.cat([each for each, _ in images]), torch.cat([each for _, each in images])
-    mean = _mean(radiance, counts)
+    mean, radius = _mean(radiance, counts), radii[0]
     if sanitize_radiance(mean) is not mean:
-        radiance = sanitize_radiance(radiance)
+        radiance = _repair_samples(radiance, mean)
         mean = _mean(radiance, counts)
-    light, radius = luminance(mean), radii[0]
-    neighbours = _max_of_neighbours(light.where(known, NO_PIXEL), radius)
-    plausible = torch.minimum(light, neighbours).where(neighbours >= 0, light)
-    brightest = torch.maximum(neighbours, log_average(plausible, known))
+    light, brightest = _find_brightest(mean, known, radius)
     suspects = light * counts > CONTRAST * brightest  # no sample is brighter than the sum
     if not suspects.any():
         return radiance, mean
@@ -82,15 +84,51 @@ def _limit(radiance: Tensor, counts: Tensor) -> tuple[Tensor, Tensor]:
     light_around, known_around = (each[pixels].view(-1, 1, 1, 1, 1) for each in sums)
     replacement = light_around / known_around  # at least one sample where there is a suspect
     samples = radiance.movedim((3, 4), (1, 2))[image, y, x][..., None, None]  # k s 3 1 1
-    value = luminance(samples)
-    excess = (value / limit).clamp_min(1)
-    dimmed = replacement + (limit - replacement) * excess.pow(-FALLOFF)
-    divisor = value.where(excess > 1, 1.0)  # black samples would make the gradient 0 / 0
-    limited = torch.where(excess > 1, samples * (dimmed / divisor), samples)
+    limited = _dim(samples, limit, replacement)
     radiance, mean = radiance.clone(), mean.clone()
     radiance.movedim((3, 4), (1, 2))[image, y, x] = limited[..., 0, 0]
     mean[pixels] = limited.sum(1)[..., 0, 0] / counts[pixels].clamp_min(1)
     return radiance, mean
+
+
+def _limit_everywhere(radiance: Tensor, counts: Tensor) -> tuple[Tensor, Tensor]:
+    """`_limit` without a question: every sample is computed, and those of suspects are taken."""
+    known = counts > 0
+    radius = _window_radius(known)
+    radiance = _repair_samples(radiance, _mean(radiance, counts))
+    mean = _mean(radiance, counts)
+    light, brightest = _find_brightest(mean, known, radius)
+    suspects = light * counts > CONTRAST * brightest
+    parts = (torch.minimum(light, brightest), known.to(light.dtype))
+    light_around, known_around = window_sum(torch.cat(parts, 1), radius).chunk(2, 1)
+    replacement = light_around / known_around.clamp_min(1)
+    dimmed = _dim(radiance, CONTRAST * brightest[:, None], replacement[:, None])
+    limited = torch.where(suspects[:, None], dimmed, radiance)
+    return limited, torch.where(suspects, _mean(limited, counts), mean)
+
+
+def _repair_samples(radiance: Tensor, mean: Tensor) -> Tensor:
+    """The samples; replaced by the rules for radiance in an image where a mean is not valid."""
+    valid = ((mean >= 0) & (mean <= HALF_MAX)).flatten(1).all(1)  # False for NaN
+    return radiance.where(valid.view(-1, 1, 1, 1, 1), sanitize_radiance(radiance))
+
+
+def _find_brightest(mean: Tensor, known: Tensor, radius: int | Tensor) -> tuple[Tensor, Tensor]:
+    """Luminance, and what vouches for it: the brightest neighbour, or the image's log-average."""
+    light = luminance(mean)
+    masked = light.where(known, NO_PIXEL)
+    neighbours = max_of_neighbours(masked, radius, MAX_RADIUS, NO_PIXEL)
+    plausible = torch.minimum(light, neighbours).where(neighbours >= 0, light)
+    return light, torch.maximum(neighbours, log_average(plausible, known))
+
+
+def _dim(samples: Tensor, limit: Tensor, replacement: Tensor) -> Tensor:
+    """Samples [... 3 h w] above the limit, dimmed towards the luminance that replaces theirs."""
+    value = luminance(samples)
+    excess = (value / limit).clamp_min(1)
+    dimmed = replacement + (limit - replacement) * excess.pow(-FALLOFF)
+    divisor = value.where(excess > 1, 1.0)  # black samples would make the gradient 0 / 0
+    return torch.where(excess > 1, samples * (dimmed / divisor), samples)
 
 
 def mean_without_fireflies(
@@ -130,7 +168,7 @@ def _repair_radiance(history: Tensor) -> tuple[Tensor, Tensor]:
     """`repair_radiance_history`, and the log-average luminance of each image [n 1 1 1]."""
     history = repair_history(history, 0.0, HALF_MAX)
     light = luminance(history)
-    neighbours = _max_of_neighbours(light)
+    neighbours = max_of_neighbours(light, RADIUS, RADIUS, NO_PIXEL)
     plausible = torch.minimum(light, neighbours).where(neighbours >= 0, light)
     average = log_average(plausible)
     return repair_history(history, 0.0, HISTORY_CONTRAST * average), average
@@ -140,31 +178,7 @@ def _mean(radiance: Tensor, counts: Tensor) -> Tensor:
     return radiance.sum(1) / counts.clamp_min(1)
 
 
-def _window_radius(known_share: float) -> int:
+def _window_radius(known: Bool[Tensor, "n 1 h w"]) -> Int[Tensor, "n 1 1 1"]:
     """The radius of a window with as many samples as one of RADIUS in a full image has."""
-    return round(RADIUS / math.sqrt(max(known_share, (RADIUS / MAX_RADIUS) ** 2)))
-
-
-def _max_of_neighbours(
-    light: Float[Tensor, "n 1 h w"], radius: int = RADIUS
-) -> Float[Tensor, "n 1 h w"]:
-    """The largest value of the window without its centre, NO_PIXEL where there is none."""
-    h, w = light.shape[-2:]
-    padded = F.pad(light, (radius,) * 4, value=NO_PIXEL)
-    sides = _largest_beside(padded, radius, w, dim=-1)
-    rows = torch.maximum(sides, padded[..., radius : radius + w])
-    above_and_below = _largest_beside(rows, radius, h, dim=-2)
-    return torch.maximum(above_and_below, sides[..., radius : radius + h, :])
-
-
-def _largest_beside(padded: Tensor, radius: int, size: int, dim: int) -> Tensor:
-    """The largest of the `radius` values before and after each of `size` positions."""
-    largest, width = padded, 1  # of `width` values from each position on
-    while width < radius:
-        step = min(width, radius - width)
-        largest = torch.maximum(
-            largest.narrow(dim, 0, largest.shape[dim] - step),
-            largest.narrow(dim, step, largest.shape[dim] - step),
-        )
-        width += step
-    return torch.maximum(largest.narrow(dim, 0, size), largest.narrow(dim, radius + 1, size))
+    share = known.float().mean((1, 2, 3), keepdim=True).double()
+    return (RADIUS / share.clamp_min((RADIUS / MAX_RADIUS) ** 2).sqrt()).round().long()

@@ -12,6 +12,8 @@ from jaxtyping import Bool, Float
 from torch import Tensor
 from torch.nn import functional as F
 
+from rlbench.ops.asking import may_ask
+
 __all__ = ["ReprojectionMemo", "reproject", "reproject_bicubic", "reproject_or_fill"]
 
 MAX_STRIPS = 8  # that one image is cut into; a power of two
@@ -101,10 +103,7 @@ def _sample(history: Tensor, x: Tensor, y: Tensor, mode: str) -> Tensor:
     grid = torch.stack(((2 * x + 1) / w - 1, (2 * y + 1) / h - 1), dim=-1)
     dtype = torch.promote_types(history.dtype, grid.dtype)  # half floats cannot index all pixels
     values, grid = history.to(dtype), grid.to(dtype)
-    # on a processor, grid_sample computes one image on one core: cut into strips, it uses all;
-    # on one thread, strips only make the backward pass sum a gradient for each of them
-    is_parallel = len(history) == 1 and torch.get_num_threads() > 1
-    strips = math.gcd(h, MAX_STRIPS) if is_parallel else 1
+    strips = math.gcd(h, MAX_STRIPS) if len(history) == 1 and _uses_threads(values) else 1
     warped = F.grid_sample(
         values.expand(strips, -1, -1, -1) if strips > 1 else values,
         grid.view(-1, h // strips, w, 2),
@@ -117,13 +116,21 @@ def _sample(history: Tensor, x: Tensor, y: Tensor, mode: str) -> Tensor:
     return warped.to(history.dtype)
 
 
+def _uses_threads(values: Tensor) -> bool:
+    """On a processor, grid_sample computes one image on one core; cut into strips, it uses all.
+
+    On one thread, strips only make the backward pass sum a gradient for each of them.
+    """
+    return may_ask(values) and torch.get_num_threads() > 1
+
+
 class ReprojectionMemo(Generic[H]):
     """The most recent reprojection, so that `plan` and `denoise` of one frame share it.
 
     The key is the identity of G-buffer and state. Both are referenced weakly, so the memo keeps no
     input alive; it holds one history at most, until the next frame. It changes no result, only the
-    time: reprojection takes about a tenth of a frame. With gradients enabled every call computes,
-    because it needs a graph of its own.
+    time: reprojection takes about a tenth of a frame. With gradients enabled, or compiled, every
+    call computes, because it needs a graph of its own.
     """
 
     def __init__(self) -> None:
@@ -132,7 +139,7 @@ class ReprojectionMemo(Generic[H]):
 
     def get(self, gbuffer: G, state: S, compute: Callable[[G, S], H]) -> H:
         """compute(gbuffer, state), or its last result if both arguments are the same objects."""
-        if torch.is_grad_enabled():
+        if torch.is_grad_enabled() or torch.compiler.is_compiling():
             return compute(gbuffer, state)
         if self._key is None or self._key[0]() is not gbuffer or self._key[1]() is not state:
             self._history = compute(gbuffer, state)

@@ -1,7 +1,7 @@
 """Sanitising: invalid values of radiance and G-buffer, replaced by one rule for each.
 
-Valid values are returned unchanged, and a tensor without invalid values without a copy. The core
-applies these rules before a method reads a frame (rlbench.sanitize).
+Valid values are returned unchanged, and on a CPU a tensor without invalid values without a copy
+(rlbench.ops.asking). The core applies these rules before a method reads a frame (rlbench.sanitize).
 """
 
 from __future__ import annotations
@@ -13,6 +13,7 @@ from jaxtyping import Bool, Float
 from torch import Tensor
 from torch.nn import functional as F
 
+from rlbench.ops.asking import may_ask
 from rlbench.ops.transfer import HALF_MAX
 
 __all__ = [
@@ -61,7 +62,7 @@ def sanitize_normal(normal: Float[Tensor, "n 3 h w"]) -> Float[Tensor, "n 3 h w"
     an average over a pixel is shorter than 1, and background has none.
     """
     squared = normal.square().sum(1, keepdim=True)  # may overflow to inf
-    if bool(squared.amax() <= MAX_SQUARED_NORMAL):  # False for NaN
+    if may_ask(squared) and bool(squared.amax() <= MAX_SQUARED_NORMAL):  # False for NaN
         return normal
     normal = _fill_from_neighbours(normal, squared <= MAX_VALID_SQUARED_NORMAL, 0.0)
     is_long = normal.square().sum(1, keepdim=True) > MAX_SQUARED_NORMAL
@@ -74,7 +75,9 @@ def sanitize_depth(depth: Float[Tensor, "n 1 h w"]) -> Float[Tensor, "n 1 h w"]:
     +inf is background. Denormal numbers are not valid: no surface is that close to a camera.
     """
     valid = depth >= torch.finfo(depth.dtype).tiny  # False for NaN
-    return depth if bool(valid.all()) else _fill_from_neighbours(depth, valid, torch.inf)
+    if may_ask(valid) and bool(valid.all()):
+        return depth
+    return _fill_from_neighbours(depth, valid, torch.inf)
 
 
 def sanitize_motion(motion: Float[Tensor, "n 2 h w"]) -> Float[Tensor, "n 2 h w"]:
@@ -90,14 +93,14 @@ def _fill_from_neighbours(
     values: Float[Tensor, "n c h w"], valid: Bool[Tensor, "n 1 h w"], fallback: float
 ) -> Float[Tensor, "n c h w"]:
     """The values, where invalid those of the first valid one of eight neighbours, or `fallback`."""
-    h, w = values.shape[-2:]
-    padded, inside = F.pad(values, (1,) * 4), F.pad(valid, (1,) * 4)
-    filled, missing = values.where(valid, fallback), ~valid
+    c, h, w = values.shape[1:]
+    inside, missing = F.pad(valid, (1,) * 4), ~valid
+    step = torch.zeros_like(valid, dtype=torch.int64)  # pixels from each to the one it takes
     for down, right in NEIGHBOURS:
-        window = (..., slice(1 + down, 1 + down + h), slice(1 + right, 1 + right + w))
-        usable = missing & inside[window]
-        filled, missing = torch.where(usable, padded[window], filled), missing & ~usable
-    return filled
+        usable = missing & inside[..., 1 + down : 1 + down + h, 1 + right : 1 + right + w]
+        step, missing = step.masked_fill(usable, down * w + right), missing & ~usable
+    source = (torch.arange(h * w, device=values.device) + step.flatten(2)).expand(-1, c, -1)
+    return values.flatten(2).gather(2, source).view_as(values).where(~missing, fallback)
 
 
 def repair_history(
@@ -110,11 +113,13 @@ def repair_history(
     >>> repair_history(torch.tensor([[[[0.5, torch.nan, 0.25]]]]), least=0.0, most=1.0)
     tensor([[[[0.5000, 0.5000, 0.2500]]]])
     """
-    lowest = most if isinstance(most, float) else float(most.detach().amin())
-    if _is_within(history, least, lowest):
+    asks = may_ask(history)
+    if asks and _is_within(
+        history, least, most if isinstance(most, float) else float(most.detach().amin())
+    ):
         return history
     valid = ((history >= least) & (history <= most)).all(1, keepdim=True)  # False for NaN
-    if valid.all():
+    if asks and valid.all():
         return history
     return _fill_from_neighbours(history, valid, 0.0)
 
@@ -128,7 +133,9 @@ RULES: Mapping[str, Callable[[Tensor], Tensor]] = {  # by the first word of a bu
 
 
 def _is_within(values: Tensor, low: float, high: float) -> bool:
-    """Whether all values lie in [low, high]; False for NaN. One pass over the values."""
+    """Are all values known to lie in [low, high]? False for NaN. One pass over the values."""
+    if not may_ask(values):
+        return False
     if not values.numel():
         return True
     least, most = values.aminmax()

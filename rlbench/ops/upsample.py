@@ -7,6 +7,8 @@ from jaxtyping import Float
 from torch import Tensor, nn
 from torch.nn import functional as F
 
+from rlbench.ops.asking import is_recorded
+
 __all__ = ["UpsampleConcatConv", "as_transposed_kernel"]
 
 
@@ -32,14 +34,14 @@ class UpsampleConcatConv(nn.Conv2d):
         self, coarse: Float[Tensor, "n c h w"], skip: Float[Tensor, "n s 2*h 2*w"]
     ) -> Float[Tensor, "n o 2*h 2*w"]:
         """The convolution at the resolution of `skip`."""
-        coarse_kernel, skip_kernel = self._kernels()
+        coarse_kernel, skip_kernel = self._kernels(coarse)
         upsampled = F.conv_transpose2d(coarse, coarse_kernel, self.bias, stride=2, padding=1)
         return upsampled.add_(F.conv2d(skip, skip_kernel, padding=1))
 
-    def _kernels(self) -> tuple[Tensor, Tensor]:
+    def _kernels(self, inputs: Tensor) -> tuple[Tensor, Tensor]:
         """The kernels of both parts; without gradients they are kept while the weights stay."""
         weight = self.weight
-        is_traced = torch.compiler.is_compiling() or torch._C._get_tracing_state() is not None
+        is_traced = is_recorded(inputs) or torch._C._get_tracing_state() is not None
         if torch.is_grad_enabled() or is_traced or weight.is_inference():
             return self._make_kernels()
         source = weight.detach()  # kept too, so that no other weight takes its place in memory

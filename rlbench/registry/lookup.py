@@ -123,6 +123,11 @@ def load_run_metrics() -> dict[str, Metric]:
     return {name: metric for name, metric in load_metrics().items() if metric.scored_by_run}
 
 
+def load_memory_metrics() -> dict[str, Metric]:
+    """The metrics that a run takes from the PSNR of a clip's frames, for methods with a memory."""
+    return {name: metric for name, metric in load_metrics().items() if metric.from_psnr}
+
+
 def load_metrics() -> dict[str, Metric]:
     """All metrics by name. Raises PluginError for a metric that cannot be imported."""
     return {name: load_or_explain("metrics", name) for name in list_plugins("metrics")}

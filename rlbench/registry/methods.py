@@ -155,6 +155,8 @@ def untrainable_reason(name: str) -> str | None:
     if is_trainable(name):
         return None
     family, declared = find_method(name)
+    if declared.learned and declared.weights_from:
+        return f"has the weights of {declared.weights_from}: train that one"
     if not (author := declared.trained_by):
         return "has nothing to train"
     reason = f"has weights that {author} trained and published, so rlbench does not train it"

@@ -31,6 +31,14 @@ TRAIN_REAL = tuple(
     for name, paths in (("bathroom", 12), ("kitchen", 12), ("spaceship", 4))
     for seed in range(paths)
 )
+REAL_DEVELOPMENT_LARGE = (
+    "living-room-2-000", "living-room-2-001", "living-room-2-005", "bathroom-102", "kitchen-101",
+)  # fmt: skip
+SIZE = r"-([1-9]\d*)x([1-9]\d*)"  # in the name of a preset at another size: width and height
+VARIANT = r"-(cap[^-]*|views)"  # in the name of a preset with a radiance cap or extra buffers
+SPEEDS = (3.0, 1.0, 2.0)  # of clips of 640x360, whose motion so reaches 30 pixels a frame
+WINDOWED = ("train", "train-hard", "train-real")  # presets of which NAME-windows exists
+WINDOW_FRAMES = 8  # of their clips, at least
 PATH_AND_RESTIR = ("path", "restir")  # entry points in the group rlbench.pools
 GENERATORS = ("generated", "eventful", "hard")  # scenes that take a seed; clips <name>-<seed>
 TakeSelection = Literal["main", "all"]
@@ -71,6 +79,8 @@ class Preset:
     # others come from plugins, where this machine can trace them
     pools: tuple[str, ...] = ("path",)
     extra_buffers: tuple[str, ...] = ()  # G-buffer channels beside those that every clip has
+    speeds: tuple[float, ...] = (1.0,)  # factors on all motion, dealt to clips by their seed
+    windows: bool = False  # does a clip show a window of a larger frame? (rlbench.render.windows)
 
     @property
     def is_test_set(self) -> bool:
@@ -90,6 +100,39 @@ class Preset:
         """
         spp = self.pool_spp + 2 * self.reference_spp * self.max_reference_rounds
         return self.size[0] * self.size[1] * spp
+
+    def speed(self, clip: str) -> float:
+        """The factor on the motion of a clip, by the seed in its name; 1 without a seed."""
+        seed = clip.rpartition("-")[2]
+        return self.speeds[int(seed) % len(self.speeds)] if seed.isdecimal() else 1.0
+
+    def with_size(self, size: tuple[int, int]) -> Preset:
+        """This preset with frames of `size` pixels (height, width) and a name of its own.
+
+        A preset of that name that has clips of its own is preferred.
+
+        >>> PRESETS["mini"].with_size((360, 640)).name
+        'mini-640x360'
+        >>> PRESETS["development"].with_size((360, 640)).frames
+        8
+        """
+        if size == self.size:
+            return self
+        base = PRESETS.get(re.sub(SIZE, "", self.name), self)
+        name = f"{base.name}-{size[1]}x{size[0]}"
+        if size == base.size:
+            return base
+        return PRESETS.get(name) or replace(base, name=name, size=size)
+
+    def with_windows(self) -> Preset:
+        """This preset whose clips show windows of larger frames, under a name of its own.
+
+        >>> PRESETS["train"].with_windows().name
+        'train-windows'
+        """
+        return replace(
+            self, name=f"{self.name}-windows", windows=True, frames=max(self.frames, WINDOW_FRAMES)
+        )
 
     def with_radiance_cap(self, cap: float) -> Preset:
         """This preset with a radiance cap and a name of its own.
@@ -165,6 +208,12 @@ _ROWS = (
     Preset("real-development", "decisions: random paths in scenes by others (rlbench scenes)",
            (160, 160), 8, 32, REAL_DEVELOPMENT, uses=("decide",),
            min_noise_ceiling_db=29.0, max_reference_rounds=4),
+    Preset("development-640x360", "decisions at the size of a real frame, with motion of users",
+           (360, 640), 8, 32, (), tuple(range(40, 48)), uses=("decide",), speeds=SPEEDS,
+           min_noise_ceiling_db=29.0, max_reference_rounds=4),
+    Preset("real-development-640x360", "the same, in scenes by others",
+           (360, 640), 8, 32, REAL_DEVELOPMENT_LARGE, uses=("decide",), speeds=SPEEDS,
+           min_noise_ceiling_db=29.0, max_reference_rounds=4),
     Preset("train-real", "training: random paths in scenes by others",
            (160, 160), 8, 32, TRAIN_REAL, uses=("train",),
            min_noise_ceiling_db=29.0, max_reference_rounds=2),
@@ -173,7 +222,10 @@ _ROWS = (
            (160, 160), 5, 64, (), tuple(range(400, 448))),
 )
 # fmt: on
-PRESETS = {preset.name: preset for preset in _ROWS}
+PRESETS = {
+    preset.name: preset
+    for preset in (*_ROWS, *(each.with_windows() for each in _ROWS if each.name in WINDOWED))
+}
 
 
 def is_test_split(preset: str) -> bool:
@@ -202,8 +254,8 @@ def is_clip_for(use: PresetUse, preset: str, scene: str, name: str) -> bool:
 
 
 def _base(preset: str) -> str:
-    """The preset of which a name with a radiance cap or extra buffers is a variant."""
-    return re.sub(r"-(cap[^-]*|views)", "", preset)
+    """The preset of which a name with another size, windows, a cap or buffers is a variant."""
+    return re.sub(rf"{VARIANT}|-windows|{SIZE}", "", preset)
 
 
 def _uses(preset: str) -> tuple[PresetUse, ...]:
@@ -211,8 +263,28 @@ def _uses(preset: str) -> tuple[PresetUse, ...]:
     return known.uses if known else ("report",)
 
 
-def get_preset(name: str) -> Preset:
-    """The preset called `name`. Raises UnknownPresetError, which lists all presets."""
-    if name not in PRESETS:
+def get_preset(name: str, size: tuple[int, int] | None = None) -> Preset:
+    """The preset called `name`, or `name-WIDTHxHEIGHT`, at its own size or at `size`.
+
+    Raises UnknownPresetError, which lists all presets.
+
+    >>> get_preset("real-640x360") == get_preset("real", (360, 640))
+    True
+    """
+    preset = find_preset(name)
+    if preset is None:
         raise UnknownPresetError(unknown_name(f"no preset '{name}'", name, PRESETS))
-    return PRESETS[name]
+    return preset.with_size(size) if size else preset
+
+
+def preset_of_clip(name: str) -> Preset | None:
+    """The preset in a clip's header, whose radiance cap and extra buffers are not known here."""
+    return find_preset(re.sub(VARIANT, "", name))
+
+
+def find_preset(name: str) -> Preset | None:
+    """The preset of a name such as `mini` or `mini-640x360`; None if there is none."""
+    base, sized = PRESETS.get(re.sub(f"{SIZE}$", "", name)), re.search(f"{SIZE}$", name)
+    if name in PRESETS or not base or not sized:
+        return PRESETS.get(name)
+    return base.with_size((int(sized[2]), int(sized[1])))

@@ -7,10 +7,11 @@ seed 7.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from jaxtyping import Float
@@ -40,6 +41,9 @@ class Mesh:
         None  # an area emitter; for many lights, one mesh with a bitmap atlas
     )
     smooth: bool = False  # interpolate vertex normals?
+    normals: NDArray[np.float32] | None = None  # [v 3], in place of those that `smooth` computes
+    # [v c] by a name that begins with vertex_, for the textures of its material
+    attributes: Mapping[str, NDArray[np.float32]] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
@@ -52,6 +56,15 @@ class Camera:
     fov: float = 60.0  # horizontal field of view, degrees
 
 
+class Window(NamedTuple):
+    """The part of a larger, virtual frame that a clip shows at one time, in pixels."""
+
+    height: int  # of the virtual frame
+    width: int
+    top: int  # of the window's upper left corner
+    left: int
+
+
 @dataclass(frozen=True)
 class XmlFile:
     """A Mitsuba XML file. Only Mitsuba reads its shapes, BSDFs and emitters."""
@@ -59,6 +72,7 @@ class XmlFile:
     path: Path
     parameters: tuple[tuple[str, str], ...] = ()  # values that replace the file's <default> values
     skip_missing: bool = False  # leave out shapes whose file is missing, and make textures grey?
+    sky: str = ""  # an XML element that is added
 
 
 class SceneError(RlbenchError, ValueError):
@@ -116,6 +130,7 @@ class Scene:
     missing_files: tuple[str, ...] = ()  # of a user's scene, whose shapes or textures are left out
     # (frames, (height, width)) -> the scene with a camera path and an exposure chosen by rays
     inspector: Callable[[int, tuple[int, int]], Scene] | None = None
+    window: Callable[[float], Window] | None = None  # without one, a clip shows the whole frame
 
     def inspect(self, frames: int, size: tuple[int, int]) -> Scene:
         """The scene as it is rendered: with the camera path and exposure that `inspector` chooses.
@@ -124,6 +139,24 @@ class Scene:
         light is found.
         """
         return replace(self.inspector(frames, size), inspector=None) if self.inspector else self
+
+    def at_speed(self, speed: float) -> Scene:
+        """The scene with all motion `speed` times as fast; cuts and lights keep their frames."""
+        if speed == 1:
+            return self
+        camera, animation, inspector = self.camera, self.vertex_animation, self.inspector
+
+        def inspect(frames: int, size: tuple[int, int]) -> Scene:
+            longest = math.ceil((frames - 1) * speed) + 1
+            return replace(self, inspector=inspector).inspect(longest, size).at_speed(speed)
+
+        return replace(
+            self,
+            camera=lambda time: camera(speed * time),
+            vertex_animation=lambda time: animation(speed * time),
+            inspector=inspect if inspector else None,
+            source_hash=f"{self.source_hash} x{speed:g}" if self.source_hash else "",
+        )
 
     def light_changes(self, frames: int) -> tuple[int, ...]:
         """Frames, from 1 to `frames - 1`, whose lights differ from those of the frame before."""
@@ -156,14 +189,14 @@ class Pose:
 
     camera: Camera
     vertices: tuple[Float[Array, "v 3"], ...]
+    window: Window | None = None  # that the film shows of a larger, virtual frame
 
     @classmethod
     def at_time(cls, scene: Scene, time: float) -> Pose:
         """The pose of `scene` at `time`, in frames."""
         animated = scene.vertex_animation(time)
-        return cls(
-            scene.camera(time), tuple(animated.get(m.name, m.vertices) for m in scene.meshes)
-        )
+        vertices = tuple(animated.get(m.name, m.vertices) for m in scene.meshes)
+        return cls(scene.camera(time), vertices, scene.window(time) if scene.window else None)
 
     def camera_axes(self) -> Float[Array, "3 3"]:
         """Rows: right, down and forward of the camera in world space, unit length, float64."""
@@ -173,14 +206,20 @@ class Pose:
         return np.stack([right, np.cross(forward, right), forward])
 
     def tangent_per_pixel(self, width: int) -> float:
-        """Tangent of the angle per pixel: tan(fov / 2) divided by half the width."""
-        return float(np.tan(np.radians(self.camera.fov) / 2) * 2 / width)
+        """Tangent of the angle per pixel: tan(fov / 2) divided by half the whole frame's width."""
+        frame_width = self.window.width if self.window else width
+        return float(np.tan(np.radians(self.camera.fov) / 2) * 2 / frame_width)
+
+    def film_centre(self, height: int, width: int) -> Float[Array, "2"]:
+        """Where the view axis meets the film, in pixels; it may lie outside of a window."""
+        frame = self.window or Window(height, width, 0, 0)
+        return np.array([frame.width / 2 - frame.left, frame.height / 2 - frame.top])
 
     def ray_directions(
         self, film: Float[Array, "p 2"], height: int, width: int
     ) -> Float[Array, "p 3"]:
         """Unit rays through film positions in pixels (x right, y down, 0 at the corner)."""
-        slopes = (film - np.array([width / 2, height / 2])) * self.tangent_per_pixel(width)
+        slopes = (film - self.film_centre(height, width)) * self.tangent_per_pixel(width)
         directions = np.column_stack([slopes, np.ones(len(film))]) @ self.camera_axes()
         return np.asarray(directions / np.linalg.norm(directions, axis=1, keepdims=True))
 
@@ -195,9 +234,8 @@ class Pose:
             self.camera_axes().T
         )
         depth = local[:, 2]
-        centre = np.array([width / 2, height / 2])
         slopes = local[:, :2] / np.maximum(depth, MIN_DEPTH)[:, None]
-        return slopes / self.tangent_per_pixel(width) + centre, depth
+        return slopes / self.tangent_per_pixel(width) + self.film_centre(height, width), depth
 
 
 def _normalize(vector: Array) -> Array:

@@ -24,7 +24,9 @@ _DOCUMENTED = (ast.Module, ast.ClassDef, ast.FunctionDef, ast.AsyncFunctionDef)
 CORE = (
     "rlbench.frames",
     "rlbench.method",
+    "rlbench.questions",
     "rlbench.sampling",
+    "rlbench.ops.asking",
     "rlbench.ops.dither",
     "rlbench.ops.sanitize",
     "rlbench.ops.transfer",
@@ -36,6 +38,7 @@ CORE = (
     "rlbench.clips.in_memory",
     "rlbench.clips.decode_cache",
     "rlbench.clips.exr",
+    "rlbench.clips.primaries",
     "rlbench.benchmark.clip_sources",
     "rlbench.weights",
 )  # modules of rlbench that decide the image a method makes of a clip, whatever it imports itself

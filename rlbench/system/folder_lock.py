@@ -17,7 +17,7 @@ from pathlib import Path
 from filelock import FileLock, Timeout
 
 from rlbench.errors import RlbenchError
-from rlbench.system.paths import write_error
+from rlbench.system.paths import remove_temporaries, write_error
 
 LOCK_FILE = ".rlbench-lock"
 UNSUPPORTED = (errno.ENOLCK, errno.ENOTSUP)  # the file system has no locks
@@ -52,6 +52,7 @@ def locked_folder(folder: Path, part: str = "") -> Iterator[None]:
     try:
         with suppress(OSError):  # a full disk: the lock holds without the name of its owner
             file.write_text(f"process {os.getpid()} on {socket.gethostname()}")
+        remove_temporaries(folder)
         yield
     finally:
         with suppress(OSError):

@@ -4,12 +4,17 @@ from __future__ import annotations
 
 import errno
 import os
+import re
+import secrets
 import shutil
+import socket
+import stat
 import tempfile
-import uuid
+import zlib
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
+from typing import BinaryIO
 
 from rlbench.errors import RlbenchError
 
@@ -17,7 +22,10 @@ UNWRITABLE = {  # errors of the disk or the folder, which the user can mend; num
     None,
     *(errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO, errno.EROFS, errno.EACCES, errno.EPERM),
     *(errno.ENOTDIR, errno.EEXIST, errno.EISDIR, errno.ENAMETOOLONG, errno.ELOOP),
+    *(errno.ESTALE, errno.ENOTCONN, errno.ENODEV, errno.ENXIO),  # a share that went away
 }
+TEMPORARY = re.compile(r"\.([0-9a-f]{8})([0-9a-f]{8})[0-9a-f]{16}\..+")  # machine and process
+ABANDONED_S = 86400.0  # age of a temporary file of another machine that nobody writes any more
 PROBE_BYTES = 4096  # written and removed: a full disk may still create empty files
 
 
@@ -85,10 +93,76 @@ def publish_folder(unfinished: Path, folder: Path) -> None:
         _synchronize(folder.parent)
 
 
+def open_to_append(path: Path) -> BinaryIO:
+    """A file to append to, which is created, as is its folder; never one elsewhere, by a link.
+
+    Raises WriteError for a link, for what is no regular file, and where the folder takes no file.
+    """
+    flags = os.O_WRONLY | os.O_APPEND | os.O_CREAT | os.O_NOFOLLOW | os.O_NONBLOCK
+    with _explained(path):
+        path.parent.mkdir(parents=True, exist_ok=True)
+        check_no_link(path.parent, path)
+        file = os.fdopen(os.open(path, flags, 0o666), "ab", buffering=0)
+    status = os.fstat(file.fileno())
+    if not stat.S_ISREG(status.st_mode) or status.st_nlink > 1:
+        file.close()
+        raise write_error(path, "it is a device, a pipe or a second name of another file")
+    return file
+
+
+def check_no_link(root: Path, path: Path) -> Path:
+    """`path`, a file or folder in `root`. Raises WriteError where a part below `root` is a link.
+
+    Results may come from strangers: what is written into their folder must stay in it.
+    """
+    for part in (path, *path.parents):
+        if part == root:
+            break
+        if part.is_symlink():
+            raise WriteError(
+                f"{part} is a link, to {os.readlink(part)}, and nothing is written through one; "
+                "remove it, or choose another folder"
+            )
+    return path
+
+
+def remove_temporaries(folder: Path) -> None:
+    """Remove the unfinished files that killed processes left in a folder and below it.
+
+    Those of living processes stay, and so do those of other machines for a day.
+    """
+    for parent, _, names in os.walk(folder):
+        for path in (Path(parent, name) for name in names if TEMPORARY.fullmatch(name)):
+            with suppress(OSError):
+                if _is_abandoned(path):
+                    path.unlink()
+
+
+def _is_abandoned(temporary: Path) -> bool:
+    found = TEMPORARY.fullmatch(temporary.name)
+    assert found
+    if int(found[1], 16) != _machine_hash():
+        with tempfile.TemporaryFile(dir=temporary.parent) as now:  # by the clock of the disk
+            age = os.fstat(now.fileno()).st_mtime - temporary.lstat().st_mtime
+        return age > ABANDONED_S
+    try:
+        os.kill(int(found[2], 16), 0)
+    except ProcessLookupError:
+        return True
+    except OSError:  # of another user
+        return False
+    return False
+
+
+def _machine_hash() -> int:
+    return zlib.crc32(socket.gethostname().encode())
+
+
 @contextmanager
 def _written_aside(path: Path) -> Iterator[Path]:
     """Yield a temporary path and rename it to `path`; nothing is left of it after an error."""
-    temporary = path.with_name(f".{uuid.uuid4().hex}.{path.name[-200:]}")
+    owner = f"{_machine_hash():08x}{os.getpid():08x}{secrets.token_hex(8)}"
+    temporary = path.with_name(f".{owner}.{path.name[-200:]}")
     try:
         with _explained(path):
             path.parent.mkdir(parents=True, exist_ok=True)
@@ -105,8 +179,11 @@ def _explained(path: Path) -> Iterator[None]:
     try:
         yield
     except OSError as error:
-        if isinstance(error, RlbenchError) or error.errno not in UNWRITABLE:
+        has_vanished = error.errno == errno.ENOENT and not path.parent.is_dir()
+        if isinstance(error, RlbenchError) or not (has_vanished or error.errno in UNWRITABLE):
             raise
+        if has_vanished:
+            error = FileNotFoundError(f"its folder {path.parent} was removed meanwhile")
         raise write_error(path, error) from error
 
 

@@ -18,7 +18,13 @@ from rlbench.errors import OptionError
 from rlbench.family import Traits
 from rlbench.registry.near_names import unknown_name
 from rlbench.render.jobs.render_clips import render_preset_clips
-from rlbench.render.presets import PRESETS, PresetUse, is_clip_for
+from rlbench.render.presets import (
+    PRESETS,
+    PresetUse,
+    find_preset,
+    get_preset,
+    is_clip_for,
+)
 from rlbench.system import paths
 from rlbench.training.batches import TRAINING_INPUTS, BatchError
 
@@ -53,12 +59,15 @@ class TrainingSplit(NamedTuple):
     def summary(self) -> str:
         """One line: how many clips train, and which ones validate."""
         count = len(self.train) + len(self.mixed_in)
+        noun = "clip trains" if count == 1 else "clips train"
+        if self.remark == ONE_CLIP_REMARK:
+            return f"1 clip trains and validates: {self.train[0].name}"
         parts = []
         for name, folders in self.validation.items():
             more = ", ..." if len(folders) > MAX_LISTED else ""
             clips = ", ".join(folder.name for folder in folders[:MAX_LISTED])
             parts.append(f"{name}, {len(folders)} ({clips}{more})")
-        return f"{count} clips train; these validate and are not trained on: {'; '.join(parts)}"
+        return f"{count} {noun}; these validate and are not trained on: {'; '.join(parts)}"
 
 
 def select_split(
@@ -149,7 +158,7 @@ def select_validation(
     sets: dict[str, list[Path]] = {}
     for word in words:
         name, _, what = word.rpartition("=")
-        if what in PRESETS and not Path(what).exists():
+        if find_preset(what) and not Path(what).exists():
             _check_for_decisions(what)
             folders = render(None, what)
         else:
@@ -188,7 +197,7 @@ def without_validation(clips: Sequence[Path], sets: Mapping[str, Sequence[Path]]
 
 
 def _check_for_decisions(preset: str) -> None:
-    if "decide" not in PRESETS[preset].uses:
+    if "decide" not in get_preset(preset).uses:
         allowed = ", ".join(name for name, other in PRESETS.items() if "decide" in other.uses)
         raise OptionError(
             f"--validate {preset}: this is a reported test set, and a validation decides, for "
@@ -227,7 +236,6 @@ def count_unrendered(preset: str, seeds: tuple[int, ...] | None) -> tuple[int, i
     no such preset.
     """
     from rlbench.render.jobs.render_clips import selected_names
-    from rlbench.render.presets import get_preset
 
     _check_not_test_set(preset, seeds)
     names = selected_names(get_preset(preset), seeds=seeds)
@@ -253,9 +261,10 @@ def split_generated(
 
 
 def _check_not_test_set(preset: str, seeds: tuple[int, ...] | None) -> None:
-    if seeds is None and preset in PRESETS and PRESETS[preset].is_test_set:
+    known = find_preset(preset)
+    if seeds is None and known and known.is_test_set:
         allowed = ", ".join(name for name, other in PRESETS.items() if not other.is_test_set)
-        scenes = ", ".join(PRESETS[preset].scenes) or "generated scenes"
+        scenes = ", ".join(known.scenes) or "generated scenes"
         raise OptionError(
             f"preset '{preset}' is a test set ({scenes}), so methods must not be trained on it. "
             f"Choose: {allowed}"
@@ -277,7 +286,8 @@ def split_holdout(scene: str, preset: str, render: Render = render_preset_clips)
     influences no decision. Missing clips are rendered. Raises OptionError if the preset has no such
     scene.
     """
-    scenes = PRESETS[preset].scenes if preset in PRESETS else ()
+    known = find_preset(preset)
+    scenes = known.scenes if known else ()
     if not scenes:
         allowed = ", ".join(name for name, other in PRESETS.items() if other.scenes)
         raise OptionError(

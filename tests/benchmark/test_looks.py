@@ -77,3 +77,30 @@ def test_a_folder_that_takes_no_file_is_an_error_that_names_it(tmp_path):
     (tmp_path / "file").write_text("")
     with pytest.raises(WriteError, match=r"looks\.csv cannot be written"):
         looks.record_looks(tmp_path / "file", [cell()])
+
+
+@pytest.mark.parametrize(
+    "damage",
+    [
+        lambda good: good.replace(b"mini", b"m\xedni"),
+        lambda good: good[3:],
+        lambda good: good + bytes(64) + b"\n",
+        lambda good: good + b'"' + b"x" * 140_000,
+    ],
+)
+def test_a_damaged_ledger_counts_nothing_and_the_next_run_sets_it_aside(tmp_path, damage):
+    looks.record_looks(tmp_path, [cell(preset="mini")])
+    damaged = damage((tmp_path / looks.FILE).read_bytes())
+    (tmp_path / looks.FILE).write_bytes(damaged)
+    assert looks.count_looks(tmp_path) == {}
+    looks.record_looks(tmp_path, [cell()])
+    assert looks.count_looks(tmp_path) == {"unseen": 1}
+    assert (tmp_path / "looks.csv.damaged").read_bytes() == damaged
+
+
+def test_nothing_is_written_through_a_link_in_place_of_the_ledger(tmp_path):
+    (tmp_path / "notes").write_text("precious")
+    (tmp_path / looks.FILE).symlink_to("notes")
+    looks.record_looks(tmp_path, [cell()])
+    assert (tmp_path / "notes").read_text() == "precious"
+    assert looks.count_looks(tmp_path) == {"unseen": 1}

@@ -60,7 +60,7 @@ def scores(results: Path) -> list[tuple]:
 def reasons(results: Path) -> list[str]:
     """All notes but those of a busy machine, and of samples of another device."""
     notes = set(table.read(results)["note"]) - {""}
-    return sorted(n for n in notes if not n.startswith((table.UNRELIABLE, table.TWO_DEVICES)))
+    return sorted(n for n in notes if not n.startswith((table.UNCERTAIN, table.TWO_DEVICES)))
 
 
 def test_every_frame_has_a_row_of_every_metric(tmp_path):
@@ -181,7 +181,7 @@ def test_new_times_leave_scores_bit_identical_and_score_no_frame(
     before, runs = scores(tmp_path / "r"), table.read(tmp_path / "r")
     with monkeypatch.context() as patched:
         patched.setattr("rlbench.benchmark.runner.score_frames", None)  # calling it would fail
-        done = measure(plan, tmp_path / "r", retime=True)
+        done = measure(plan, tmp_path / "r", retime="all")
     assert done == RunSummary(timed=3, skipped=1)  # eaw does not support 0.5 spp
     assert repr(scores(tmp_path / "r")) == repr(before)  # as text, since nan differs from nan
     after = table.read(tmp_path / "r")
@@ -216,19 +216,19 @@ def test_a_run_without_times_keeps_those_that_are_there(clip_folder, tmp_path):
 
 def test_a_run_of_times_alone_and_of_scores_alone_is_a_contradiction(clip_folder, tmp_path):
     with pytest.raises(OptionError, match="--retime measures times alone, --scores-only"):
-        measure(run_plan(clip_folder), tmp_path / "r", retime=True, scores_only=True)
+        measure(run_plan(clip_folder), tmp_path / "r", retime="all", scores_only=True)
 
 
 def test_only_cells_with_scores_are_timed_again(clip_folder, tmp_path):
     measure(run_plan(clip_folder, spp=(1.0,)), tmp_path / "r")
-    done = measure(run_plan(clip_folder, spp=(1.0, 2.0)), tmp_path / "r", retime=True)
+    done = measure(run_plan(clip_folder, spp=(1.0, 2.0)), tmp_path / "r", retime="all")
     assert (done, done.unscored) == (RunSummary(timed=1), 1)
     assert set(table.read(tmp_path / "r")["target_spp"]) == {1.0}
 
 
 def test_retiming_without_any_cell_is_an_error(clip_folder, tmp_path):
     with pytest.raises(CellsError, match=r"no cell of this run is in .*Run without --retime"):
-        measure(run_plan(clip_folder), tmp_path / "r", retime=True)
+        measure(run_plan(clip_folder), tmp_path / "r", retime="all")
 
 
 def test_a_method_that_fails_when_it_is_timed_again_keeps_its_scores(clip_folder, tmp_path):
@@ -238,7 +238,7 @@ def test_a_method_that_fails_when_it_is_timed_again_keeps_its_scores(clip_folder
     measure(run_plan(clip_folder, "odd"), tmp_path / "r")
     before = scores(tmp_path / "r")
     (tmp_path / "file").unlink()
-    done = measure(run_plan(clip_folder, "odd"), tmp_path / "r", retime=True)
+    done = measure(run_plan(clip_folder, "odd"), tmp_path / "r", retime="all")
     assert done == RunSummary(failed=1)
     assert [cell.method for cell in done.failures] == ["odd"]
     assert scores(tmp_path / "r") == before
@@ -621,3 +621,13 @@ def _files(folder: Path) -> dict[str, int]:
 def _srgb(linear: np.ndarray) -> np.ndarray:
     x = linear.clip(0, 1)
     return np.where(x <= 0.0031308, 12.92 * x, 1.055 * x ** (1 / 2.4) - 0.055)
+
+
+def test_rows_of_methods_with_a_memory_have_the_drift_of_their_frames(tmp_path):
+    folder = write_noise(tmp_path / "noise", frames=5)
+    measure_scores(run_plan(folder, "mean", "svgf"), tmp_path / "r")
+    rows = table.read(tmp_path / "r")
+    found = rows[rows["metric"] == "drift"]
+    assert found[["method", "frame", "unit"]].values.tolist() == [["svgf", -1, "dB"]]
+    psnr = rows[(rows["metric"] == "psnr") & (rows["method"] == "svgf")].set_index("frame")["value"]
+    assert found["value"].item() == pytest.approx(psnr[4] - psnr[0])

@@ -29,7 +29,7 @@ from rlbench.clips.in_memory import InMemoryClip
 from rlbench.clips.procedural.clip import procedural_clip
 from rlbench.clips.procedural.folder import write_procedural_clip
 from rlbench.family import Traits
-from rlbench.frames import Size
+from rlbench.frames import Reference, Size
 from rlbench.run import run_clip
 
 TEMPLATE = Row("r", "mean", "noise", "noise", 2.0, 1.5, -1, "", math.nan)
@@ -80,6 +80,16 @@ def test_a_score_without_motion_or_of_infinity_is_a_reason_and_no_number(frames,
     infinite = replace(frames[0], image=torch.full_like(frames[0].image, torch.inf))
     (row,) = score(BRIGHT, infinite, read_header(clip_folder))
     assert (math.isnan(row.value), row.note) == (True, "the value is inf")
+
+
+@pytest.mark.parametrize(("light", "note"), [(0.0, scoring.BLACK), (1e-5, scoring.BLACK), (1, "")])
+def test_a_score_against_a_black_reference_says_so(frames, clip_folder, light, note):
+    result = frames[0]
+    black = result.frame.reference.mean * light
+    result = replace(result, frame=replace(result.frame, reference=Reference(black, black)))
+    psnr = registry.load_or_explain("metrics", "psnr")
+    (row,) = score(psnr, result, read_header(clip_folder))
+    assert row.note == note
 
 
 def test_each_frame_has_the_noise_ceiling_of_the_clips_header(frames, clip_folder):

@@ -95,17 +95,20 @@ def test_the_share_of_the_peak_is_work_over_time(table):
     ours = table[table.method == "ours"].iloc[0]
     our_rate = ours.multiply_adds * 1e3 * 48 * 64 / (ours.inference_ms / 1e3)
     assert oidn.peak_share / ours.peak_share == pytest.approx(rate / our_rate)
-    assert 0 < oidn.peak_share < 1.5  # of a matrix product measured at another moment
+    at_most_ms = oidn.inference_ms / oidn.inference_high_ms  # on a busy machine an estimate
+    assert 0 < oidn.peak_share * at_most_ms < 1.5  # of a matrix product at another moment
 
 
-def test_the_page_shows_every_size_and_marks_times_that_are_not_to_be_believed(table):
+def test_the_page_shows_every_size_and_how_uncertain_a_time_is(table):
     spoiled = table.copy()
-    spoiled["note"] = ["unreliable: the machine was busy", *[""] * (len(table) - 1)]
+    spoiled["note"] = ["the machine was busy", *[""] * (len(table) - 1)]
+    for name, ms in (("", 10.0), ("low_", 8.0), ("high_", 12.0)):
+        spoiled.loc[0, f"inference_{name}ms"] = ms
     page = speed_page(spoiled, "a processor")
     assert "## 64 x 48" in page
     assert "## 32 x 32" in page
-    assert "| `mean`? |" in page
-    assert "? `mean`: unreliable: the machine was busy" in page
+    assert "| 10.0 ±25 % |" in page
+    assert "`mean`: the machine was busy" in page
     assert page.count("`ours@openvino`") == 2
 
 
@@ -118,8 +121,8 @@ def test_the_command_writes_both_files_and_names_them(tmp_path: Path):
     assert set(pd.read_csv(out / "speed.csv").width) == {32, 16}
 
 
-def test_sound_times_become_a_cost_profile(tmp_path):
-    rows = [("ours", 1080, 1920, 3.5, ""), ("oidn/tuned", 1080, 1920, 2.0, "unreliable: busy")]
+def test_times_become_a_cost_profile_and_failures_do_not(tmp_path):
+    rows = [("ours", 1080, 1920, 3.5, "busy"), ("oidn/tuned", 1080, 1920, math.nan, "no weights")]
     table = pd.DataFrame(rows, columns=["method", "height", "width", "inference_ms", "note"])
     file = tmp_path / "gpu.toml"
     write_profile(file, "GPU", (1080, 1920), 4.0, profile_times(table))
@@ -127,5 +130,5 @@ def test_sound_times_become_a_cost_profile(tmp_path):
     assert found.inference("ours", 1080, 1920).ms == 3.5
     assert found.inference("oidn/tuned", 1080, 1920) is None
     assert found.sample("any", 1080, 1920).ms == 4.0
-    with pytest.raises(RlbenchError, match="busy"):
+    with pytest.raises(RlbenchError, match="no weights"):
         profile_times(table[1:])

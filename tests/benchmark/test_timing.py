@@ -11,7 +11,7 @@ import torch
 from rlbench.benchmark import latency
 from rlbench.benchmark.clip_sources import StoredSource
 from rlbench.benchmark.cost import Cost, ProfileTime, Scatter
-from rlbench.benchmark.latency import PartTime, Timing
+from rlbench.benchmark.latency import PARTS, PartTime, Timing
 from rlbench.benchmark.results import Row
 from rlbench.benchmark.run_plan import CellLoader, RunPlan, list_cells
 from rlbench.benchmark.timing import (
@@ -35,6 +35,9 @@ TIMING = Timing(
     denoise=PartTime(4.0, 4.4, 8.0),
     inference=PartTime(5.5, 6.0, 10.0),
     sample_fetch=PartTime(100.0, 100.0, 200.0),
+    low=5.0,
+    high=6.0,
+    frames_used="middle half",
     frames=12,
     rounds=4,
     half_width=0.01,
@@ -87,16 +90,35 @@ def test_a_sample_without_a_cost_leaves_its_reason_in_every_sum():
     assert unknown == dict.fromkeys(("sample_ms", "sampling_ms", "frame_ms"), "no such pool")
 
 
-def test_an_unreliable_time_says_so_wherever_it_is_part_of():
-    rows = by_metric(replace(TIMING, unreliable="busy"))
-    noted = {row.metric for row in rows.values() if row.note == "unreliable: busy"}
-    assert {"plan_ms", "allocate_ms", "denoise_ms", "inference_ms", "frame_ms"} <= noted
-    assert not noted & {"sample_ms", "sampling_ms", "gbuffer_ms", "sample_fetch_ms"}
+def test_every_part_has_an_interval_and_those_of_a_frame_add_up():
+    rows = by_metric(cost=replace(COST, interval=(0.9, 1.2)))
+    ends = {
+        name: (rows[f"{name}_low_ms"].value, rows[f"{name}_high_ms"].value)
+        for name in (*PARTS, "inference", "gbuffer", "sample", "sampling", "frame")
+    }
+    assert ends["inference"] == pytest.approx((5.0, 6.0))
+    assert ends["denoise"] == pytest.approx((4 * 5 / 5.5, 4 * 6 / 5.5))
+    assert ends["sample"] == pytest.approx((18.0, 24.0))
+    assert ends["frame"] == pytest.approx((5 + 0.9 * 33, 6 + 1.2 * 33))
+    for index in (0, 1):
+        parts = sum(ends[name][index] for name in PARTS)
+        assert parts == pytest.approx(ends["inference"][index])
 
 
-def test_an_unreliable_sample_makes_the_frame_unreliable_and_not_the_inference():
-    rows = by_metric(cost=replace(COST, note="unreliable: a sample took 1 to 9 ms"))
-    noted = {row.metric for row in rows.values() if row.note.startswith("unreliable:")}
+def test_an_uncertain_part_names_its_reason_and_the_frame_only_if_it_is_uncertain_too():
+    """0.5 of 5.5 ms is much of inference, and little of a frame of 38.5 ms."""
+    rows = by_metric(replace(TIMING, low=3.0, disturbance="busy"))
+    noted = {row.metric for row in rows.values() if row.note == "uncertain: busy"}
+    assert {"plan_ms", "allocate_ms", "denoise_ms", "inference_ms"} <= noted
+    assert not noted & {"sample_ms", "sampling_ms", "gbuffer_ms", "sample_fetch_ms", "frame_ms"}
+    wide = by_metric(replace(TIMING, high=50.0, disturbance="busy"))
+    assert wide["frame_ms"].note == "uncertain: busy"
+
+
+def test_an_uncertain_sample_makes_the_frame_uncertain_and_not_the_inference():
+    note = "uncertain: a sample took 2 to 40 ms"
+    rows = by_metric(cost=replace(COST, note=note, interval=(0.1, 2.0)))
+    noted = {row.metric for row in rows.values() if row.note.startswith("uncertain:")}
     assert noted == {"sample_ms", "sampling_ms", "frame_ms"}
 
 

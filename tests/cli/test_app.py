@@ -3,13 +3,18 @@
 from __future__ import annotations
 
 import importlib.metadata
+import io
 import re
 import resource
 
 import pytest
+from rich.console import Console
 from typer.testing import CliRunner
 
+from rlbench.checks.console import print_lines
+from rlbench.checks.result import Verdict, failed, passed
 from rlbench.cli.app import COMMANDS, app
+from rlbench.cli.doctor import inspect_machine
 from tests.cli.runner import python, rlbench
 from tests.test_readme import check_command
 
@@ -123,6 +128,19 @@ def test_doctor_reports_the_path_tracer_and_packages():
     output = rlbench("doctor")
     assert "path tracer" in output
     assert "torch" in output
+
+
+def test_doctor_ticks_nothing_that_is_missing():
+    ticked = [each.found for each in inspect_machine() if each.verdict is Verdict.PASSED]
+    assert not [found for found in ticked if "not installed" in found or "no device" in found]
+
+
+def test_marks_are_replaced_where_the_terminal_has_none():
+    file = io.TextIOWrapper(io.BytesIO(), encoding="ascii")
+    results = [passed("a"), failed("b", "found", "remedy")]
+    print_lines(results, Console(file=file))
+    file.flush()
+    assert file.buffer.getvalue() == b"  + a\n  x b: found -> remedy\n"
 
 
 def test_doctor_reports_a_broken_plugin(tmp_path):

@@ -63,7 +63,7 @@ def test_scenes_select_and_an_unknown_one_is_refused(folder):
 
 def test_a_deadline_that_nothing_meets_is_an_error_that_names_the_cheapest(folder):
     words = ("decide", "--sample-ms", 4.2, "--frame-ms", 1, "--results", folder)
-    assert "error: no denoiser that was timed here fits 1 ms at 4.2 ms a sample; " in rlbench(
+    assert "error: no denoiser with a time fits 1 ms at 4.2 ms a sample; " in rlbench(
         *words, code=2
     )
 
@@ -83,6 +83,13 @@ def test_a_cost_profile_gives_the_times_and_the_cost_of_a_sample(folder, tmp_pat
     assert best["sampling_ms"] == pytest.approx(4.0 * best["spp"])
     assert (decision["sample_ms"], decision["image_sizes"]) == (4.0, ["1920x1080"])
     assert "--sample-ms or --cost" in rlbench(*words[:-1], code=2)
+
+
+def test_a_cost_of_samples_alone_keeps_the_times_of_the_results(folder, tmp_path):
+    (tmp_path / "mine.toml").write_text("default_ms = 4.2\n")
+    words = ("decide", "--frame-ms", 30, "--results", folder, "--json")
+    by_file = json.loads(rlbench(*words, "--cost", tmp_path / "mine.toml"))
+    assert by_file == json.loads(rlbench(*words, "--sample-ms", 4.2))
 
 
 def test_results_are_an_option_or_a_word_and_python_answers_alike(folder):

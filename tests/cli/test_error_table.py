@@ -75,7 +75,19 @@ TABLE = {
     ),
     "a cost file that lacks keys": Mistake(
         cost_file,
-        "missing: source, device, height, width, default_ms, scene_ms; unknown: sample_ms",
+        "missing: default_ms; unknown: sample_ms",
+    ),
+    "a row that has the weights of another to train": Mistake(
+        lambda folder: ("train", "-m", "oidn/filled", "--out", folder / "r"),
+        "oidn/filled has the weights of ",
+    ),
+    "a folder as weights": Mistake(
+        lambda folder: ("run", "-m", "ours", "--weights", folder, "--out", folder / "r"),
+        "is a folder, not a weights file. It holds no weights",
+    ),
+    "an import without a layout": Mistake(
+        lambda folder: ("import", folder, "--out", folder / "r"),
+        "--layout is missing: rlbench lint --guess ",
     ),
     "a method without weights to train": Mistake(
         lambda folder: ("train", "-m", "mean", "--out", folder / "r"),

@@ -94,7 +94,7 @@ def test_import_of_an_unknown_format_or_folder_is_one_message(tmp_path):
     words = ("--format", "foo", "--out", tmp_path / "clips")
     output = rlbench("import", tmp_path, *words, code=2)
     assert (
-        "no layout 'foo', and no TOML file as rlbench lint --guess writes; there are: blender,"
+        "no layout 'foo', and no such file; rlbench lint --guess writes one; there are: blender,"
         in output
     )
     output = rlbench("import", tmp_path / "nowhere", *words, code=2)

@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import json
 
+import pandas as pd
 import pytest
 from junitparser import JUnitXml
 
-from rlbench.benchmark.regression.baseline import find_baseline
+from rlbench.benchmark.regression.baseline import find_baseline, load_baseline
+from rlbench.cli.regress import _compared_rows
 from tests.cli.runner import rlbench
 
 
@@ -86,3 +88,12 @@ def test_speed_gates_of_the_baseline_and_of_the_option_are_measured(words, tmp_p
     assert ": eaw / mean <= 1e+06" in output
     output = rlbench("regress", *words, "--speed", "eaw/maen<=1", code=2)
     assert "names no two installed methods" in output
+
+
+def test_a_shipped_baseline_is_compared_in_the_rows_that_there_are():
+    shipped = load_baseline(find_baseline("mini"))
+    rows = pd.DataFrame({"method": ["oidn", "ours"]})
+    assert _compared_rows([], rows, shipped, "") == ["oidn", "ours"]
+    assert _compared_rows(["svgf"], rows, shipped, "mini") == ["svgf"]
+    assert _compared_rows(["all"], rows, shipped, "") == []  # every row of the baseline
+    assert _compared_rows([], rows, shipped, "mine.json") == []

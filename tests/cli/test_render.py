@@ -34,7 +34,7 @@ def test_render_hands_over_its_options(user_clips, tmp_path):
     assert (options.size, options.exposure) == ((192, 320), 0.5)
     assert options.parameters == (("max_depth", "9"), ("light", "2=3"))
     assert options.out == tmp_path / "c"
-    assert preset.name == "tiny"
+    assert (preset.name, preset.size) == ("tiny-320x192", (192, 320))
     assert executor is LOCAL
 
 

@@ -9,7 +9,7 @@ import pytest
 from rlbench import registry
 from rlbench.benchmark import results as table
 from rlbench.benchmark.listing import frames_trained
-from rlbench.benchmark.results import Row
+from rlbench.benchmark.results import UNFINISHED, Row
 from rlbench.cli.selection import select_methods
 from rlbench.errors import OptionError
 from rlbench.weights import read_card
@@ -68,12 +68,21 @@ def test_table1_says_how_long_shipped_weights_were_trained(tmp_path):
     assert f" | {frames:,} | " in (tmp_path / "table1.md").read_text()
 
 
-def test_report_all_writes_the_others_where_one_fails(plain_results, tmp_path):
+def test_report_all_skips_what_needs_times_after_scores_alone(plain_results, tmp_path):
     words = ("--results", plain_results, "--out", tmp_path / "figures")
-    output = rlbench("report", "all", *words, code=2)
-    assert "error: cannot write" in output
-    assert "no method has all of psnr, plan_ms" in output
+    output = rlbench("report", "all", *words)
+    assert "report pareto is skipped: no method has all of psnr, plan_ms" in output
+    rlbench("report", "pareto", *words, code=2)
     assert (tmp_path / "figures" / "summary.md").stat().st_size > 0
+
+
+def test_scores_of_an_evaluation_that_did_not_finish_are_reported_with_a_note(
+    plain_results, tmp_path
+):
+    copy = shutil.copytree(plain_results, tmp_path / "evaluated")
+    (copy / UNFINISHED).touch()
+    output = rlbench("report", "summary", "--results", copy)
+    assert "rlbench evaluate did not finish" in output
 
 
 def test_a_method_without_rows_is_an_error_of_report(plain_results):

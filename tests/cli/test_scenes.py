@@ -47,7 +47,7 @@ def test_the_document_lists_every_scene(server):
     assert rows.keys() == load_catalog().keys()
     assert rows["attic"]["bytes"] == sum(map(len, FILES.values()))
     assert rows["kitchen"]["has_unknown_sizes"]
-    assert rows["veach-mis"]["state"] == "not pinned"
+    assert rows["staircase"]["state"] == "not pinned"
 
 
 def test_a_scene_is_downloaded_and_credited(server):
@@ -79,7 +79,7 @@ def test_a_server_that_is_down_stops_at_the_first_scene(server, monkeypatch):
     output = rlbench("scenes", "get", "all", code=1)
     assert "left out, since not pinned: dining-room, bathroom2" in output
     assert output.count("cannot be reached") == 1
-    assert "9 of 9 scenes are not complete: living-room, classroom" in output
+    assert "16 of 16 scenes are not complete: living-room, classroom" in output
 
 
 def test_a_scene_is_pinned_and_can_then_be_downloaded(server):
@@ -100,7 +100,7 @@ def test_a_pin_can_be_written_to_a_file(server, tmp_path):
     ("words", "answer"),
     [
         (("get", "atic"), "Did you mean 'attic'?"),
-        (("get", "veach-mis"), "Pin them: rlbench scenes pin veach-mis"),
+        (("get", "staircase"), "Pin them: rlbench scenes pin staircase"),
         (("get",), "which scenes? rlbench scenes get NAME, or all"),
         (("list", "attic"), "a list takes no names"),
         (("pin", "kitchen"), "kitchen is pinned already. To write another pin: --out FILE"),

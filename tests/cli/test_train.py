@@ -20,10 +20,10 @@ def test_clips_that_cannot_be_trained_on_are_refused():
     words = ("train", "-m", "oidn/retrained")
     message = "--seeds 400, 401: these belong to test set 'unseen'"
     assert message in rlbench(*words, "--seeds", "390:402", code=2)
-    for preset in ("tiny", "mini", "standard", "paper", "development", "unseen"):
+    for preset in ("tiny", "mini-640x360", "standard", "paper", "development", "unseen"):
         output = rlbench(*words, "--preset", preset, code=2)
         assert f"error: preset '{preset}' is a test set" in output
-        assert output.endswith("Choose: train, train-eventful, train-hard, train-real")
+        assert "Choose: train, train-eventful, train-hard, train-real, train-windows" in output
 
 
 def test_no_seed_of_a_test_set_belongs_to_a_training_set():

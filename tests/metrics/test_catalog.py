@@ -10,7 +10,8 @@ import torch
 from metrics import catalog, catalog_video
 from metrics.catalog import MS_SSIM, PSNR, SSIM
 
-METRICS = [getattr(module, name) for module in (catalog, catalog_video) for name in module.__all__]
+ALL = [getattr(module, name) for module in (catalog, catalog_video) for name in module.__all__]
+METRICS = [metric for metric in ALL if not metric.whole_clip]
 DIRECTED = [metric for metric in METRICS if metric.direction and not metric.scores_previous]
 SIZE = (2, 3, 165, 170)
 

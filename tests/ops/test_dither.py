@@ -11,7 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from torch import Tensor
 
-from rlbench.ops.dither import ONE_SHARE, THRESHOLD_BITS, hash_to_integer, round_to_total
+from rlbench.ops.dither import ONE_SHARE, THRESHOLD_BITS, hash_to_integers, round_to_total
 
 
 def round_shares(shares: Tensor, seed: int = 0) -> Tensor:
@@ -27,6 +27,21 @@ def problems(draw):
     values = draw(st.lists(share, min_size=h * w, max_size=h * w))
     total = sum(values) // ONE_SHARE + draw(st.integers(0, sum(values) % ONE_SHARE > 0))
     return torch.tensor(values).view(h, w), total, draw(st.integers(0, 2**40))
+
+
+def hash_to_integer(seed: int, level: int) -> int:
+    """The hash in Python's integers, which have no limit."""
+    mixed = seed * 64 + level
+    for factor in (0x9E3779B97F4A7C15, 0xD1342543DE82EF95):
+        mixed = (mixed * factor + 1) & (2**64 - 1)
+        mixed ^= mixed >> 32
+    return mixed >> (64 - THRESHOLD_BITS)
+
+
+@given(st.lists(st.integers(0, 2**57 - 1), min_size=1, max_size=3))
+def test_thresholds_are_hashes_of_seed_and_level(seeds):
+    hashes = hash_to_integers(torch.tensor(seeds), levels=22)
+    assert hashes.tolist() == [[hash_to_integer(s, level) for s in seeds] for level in range(22)]
 
 
 def divide(shares: list[list[Fraction]], total: int, seed: int, level: int) -> list[list[int]]:

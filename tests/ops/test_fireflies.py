@@ -14,14 +14,15 @@ from rlbench.ops.exposure import MIDDLE_GREY, autoexposure
 from rlbench.ops.fireflies import (
     CONTRAST,
     FALLOFF,
+    MAX_RADIUS,
     NO_PIXEL,
-    _max_of_neighbours,
     _window_radius,
     limit_fireflies,
     mean_without_fireflies,
     repair_light,
     repair_radiance_history,
 )
+from rlbench.ops.windows import max_of_neighbours
 
 SIDE, SPP = 16, 3
 COUNTS = torch.full((1, 1, SIDE, SIDE), SPP)
@@ -144,12 +145,13 @@ def test_neighbours_are_the_largest_of_a_window_that_grows_with_the_holes(share)
     light = torch.rand(1, 1, 24, 30, generator=torch.Generator().manual_seed(1))
     known = torch.zeros(1, 1, 24, 30, dtype=torch.bool)
     known.view(-1)[: round(share * known.numel())] = True
-    radius = _window_radius(float(known.float().mean()))
+    radius = int(_window_radius(known))
     assert radius == {0.04: 10, 0.16: 5, 0.7: 2}[share]
     windows = F.unfold(F.pad(light, (radius,) * 4, value=NO_PIXEL), 2 * radius + 1)
     windows[:, windows.shape[1] // 2] = NO_PIXEL
     expected = windows.amax(1).view_as(light)
-    assert torch.equal(_max_of_neighbours(light, radius), expected)
+    for each in (radius, torch.tensor(radius).view(1, 1, 1, 1)):
+        assert torch.equal(max_of_neighbours(light, each, MAX_RADIUS, NO_PIXEL), expected)
 
 
 def test_pixels_without_a_sample_stay_black():

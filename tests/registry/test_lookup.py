@@ -10,7 +10,7 @@ from tests.registry.subprocesses import run_python
 
 
 def test_the_error_for_an_unknown_method_lists_the_methods():
-    with pytest.raises(PluginError, match="'foo' is not a method; there are: accumulate, dasr"):
+    with pytest.raises(PluginError, match="'foo' is not a method; there are: accumulate, bmfr"):
         registry.load_method("foo")
 
 

@@ -89,8 +89,8 @@ def test_a_method_whose_package_is_missing_says_what_to_install(tmp_path):
     [
         ("oidn/tuned", None),
         ("mean", "has nothing to train"),
-        ("ours/flat", "has nothing to train"),
-        ("ours/latent-flat", "has nothing to train"),
+        ("ours/flat", "has the weights of ours: train that one"),
+        ("ours/latent-flat", "has the weights of ours/latent: train that one"),
         ("oidn", "has weights that Intel trained and published"),
     ],
 )

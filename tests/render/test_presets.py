@@ -5,7 +5,8 @@ from pathlib import Path
 import pytest
 
 from rlbench.render.jobs.job import Job
-from rlbench.render.presets import PRESETS, get_preset
+from rlbench.render.jobs.render_clips import preset_jobs
+from rlbench.render.presets import PRESETS, get_preset, is_test_split
 from tests.render.small_scenes import room
 
 
@@ -51,3 +52,34 @@ def test_a_preset_with_a_radiance_cap_has_another_name_and_content_key():
 def test_a_cap_of_zero_or_less_is_an_error(cap):
     with pytest.raises(ValueError, match="must be above 0"):
         PRESETS["mini"].with_radiance_cap(cap)
+
+
+def test_a_preset_at_another_size_has_another_name_folder_and_content_key(monkeypatch, tmp_path):
+    monkeypatch.setenv("RLBENCH_CACHE", str(tmp_path))
+    mini, large = PRESETS["mini"], get_preset("mini", (360, 640))
+    assert (large.name, large.size) == ("mini-640x360", (360, 640))
+    assert get_preset("mini-640x360") == large
+    assert get_preset("mini-640x360", (192, 192)) == mini == get_preset("mini", (192, 192))
+    assert content_key(large) != content_key(mini)
+    (job,) = preset_jobs(large, ["city"])
+    assert job.folder == tmp_path / "clips" / "mini-640x360" / "city"
+
+
+def test_a_preset_that_has_clips_of_its_own_at_a_size_is_preferred():
+    assert get_preset("development", (360, 640)) is PRESETS["development-640x360"]
+
+
+@pytest.mark.parametrize(
+    ("name", "is_test"),
+    [("unseen-640x360", True), ("train-320x320", False), ("train-windows", False)],
+)
+def test_a_preset_at_another_size_has_the_use_of_its_own(name, is_test):
+    assert is_test_split(name) == is_test
+    assert get_preset(name).is_test_set == is_test
+
+
+def test_speeds_are_dealt_to_clips_by_their_seed():
+    preset = PRESETS["development-640x360"]
+    speeds = [preset.speed(f"generated-{seed:03d}") for seed in (42, 43, 44, 45)]
+    assert speeds == [*preset.speeds, preset.speeds[0]]
+    assert preset.speed("city") == 1

@@ -5,9 +5,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+import pandas as pd
 
 from reports.analysis.curves import Curve
-from rlbench.benchmark.results import Row, to_dataframe
+from rlbench.benchmark.results import UNCERTAIN, Row, to_dataframe
 
 BUDGETS = (1.0, 2.0, 4.0)
 
@@ -69,4 +70,20 @@ def curve(name, spp, values, fixed_ms, sign=1):
     spp = np.asarray(spp, float)
     fixed = np.broadcast_to(np.asarray(fixed_ms, float), spp.shape)
     units = np.asarray(values, float)[:, None]
-    return Curve(name, spp, units, fixed, spp, 2 * fixed, sign)
+    return Curve(name, spp, units, fixed, spp, 2 * fixed, fixed, fixed, sign)
+
+
+def doubt(rows, *methods, low=0.5, high=2.0, scene=None):
+    """The rows with an interval of the inference times of `methods`, relative to these."""
+    is_own = rows["method"].isin(methods) & (rows["scene"].eq(scene) if scene else True)
+    is_inference = rows["metric"].isin(["inference_ms", "inference_low_ms", "inference_high_ms"])
+    parts = rows[is_own & rows["metric"].isin(["plan_ms", "allocate_ms", "denoise_ms"])]
+    keys = [name for name in parts.columns if name not in ("metric", "value", "convention", "note")]
+    inference = parts.groupby(keys, as_index=False)["value"].sum()
+    inference = inference.assign(convention="sum", note="")
+    ends = [
+        inference.assign(metric=f"inference_{end}_ms", value=share * inference["value"])
+        for end, share in (("low", low), ("high", high))
+    ]
+    noted = inference.assign(metric="inference_ms", note=f"{UNCERTAIN} the machine was busy")
+    return pd.concat([rows[~(is_own & is_inference)], noted, *ends], ignore_index=True)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+import re
 
 import msgspec
 import pandas as pd
@@ -12,8 +13,8 @@ import pytest
 from reports.analysis.rows import ReportError
 from reports.decide import GivenTimes, decide
 from reports.decision_text import decision_text
-from rlbench.benchmark.results import TWO_DEVICES, UNRELIABLE
-from tests.reports.formula_results import THREE, Formula, table
+from rlbench.benchmark.results import TWO_DEVICES
+from tests.reports.formula_results import THREE, Formula, doubt, table
 
 
 def test_the_best_of_three_methods_computed_by_hand():
@@ -139,27 +140,47 @@ def test_notes_on_times_and_a_winner_at_its_largest_budget_are_passed_on():
     assert "Measure it: rlbench run -m middle\n" in text
 
 
-def doubt(rows, *methods):
-    """The rows with times of `methods` that the clock rejected."""
-    is_time = (rows["unit"] == "ms") & rows["method"].isin(methods)
-    return rows.assign(note=rows["note"].mask(is_time, f"{UNRELIABLE} 225 times a quiet moment"))
+def test_a_method_that_uncertain_times_could_make_the_winner_is_named():
+    sure = decide(table(THREE), sample_ms=2.0, frame_ms=11.0)
+    assert (sure.could_win, sure.uncertainty) == ((), 0.0)
+    open_answer = decide(doubt(table(THREE), "slow", low=0.5), sample_ms=2.0, frame_ms=11.0)
+    assert open_answer.candidates[0].method == sure.candidates[0].method == "middle"
+    assert open_answer.could_win == ("slow",)  # 14 ms at 1 spp, or 8 ms
+    text = decision_text(open_answer)
+    assert re.search(r"Times here are uncertain by \d+ %: slow could take its place", text)
+    assert "uncertain: inference_ms of slow on city, hall at 1, 2, 4 spp: the machine" in text
 
 
-def test_a_method_with_unreliable_times_wins_only_where_that_is_allowed_and_marked():
-    rows = doubt(table(THREE), "middle")
-    decision = decide(rows, sample_ms=2.0, frame_ms=11.0)
-    assert [each.method for each in decision.candidates] == ["cheap"]
-    assert "middle has unreliable times alone" in decision.notes
-    assert any("225 times a quiet moment" in note for note in decision.notes)
-    allowed = decide(rows, sample_ms=2.0, frame_ms=11.0, allow_unreliable=True)
-    assert [each.method for each in allowed.candidates] == ["middle", "cheap"]
-    assert [each.is_unreliable for each in allowed.candidates] == [True, False]
-    assert "of 11 ms? (0 G-buffer + 5 inference" in decision_text(allowed)
+def test_uncertain_times_that_change_no_answer_leave_it_alone():
+    rows = doubt(table(THREE), "cheap", low=0.2, high=3.0)
+    decision = decide(rows, sample_ms=2.0, frame_ms=11.0, strict=True)
+    assert decision.could_win == ()
+    assert "could take its place" not in decision_text(decision)
+    assert re.search(r"cheap +4 +9 ±22 %", decision_text(decision))  # 1 + 8 ms, or 3 + 8
 
 
-def test_results_whose_times_are_all_unreliable_are_refused():
-    with pytest.raises(ReportError, match="225 times a quiet moment.*--retime.*--allow-unreliable"):
-        decide(doubt(table(THREE), *THREE), sample_ms=2.0, frame_ms=11.0)
+def test_the_uncertain_time_of_a_clips_sample_does_not_matter_to_a_given_one():
+    rows = table(THREE)
+    ends = [
+        rows[rows["metric"] == "sampling_ms"].assign(metric=f"sampling_{end}_ms", value=value)
+        for end, value in (("low", 0.1), ("high", 900.0))
+    ]
+    answer = decide(pd.concat([rows, *ends], ignore_index=True), sample_ms=2.0, frame_ms=11.0)
+    assert (answer.could_win, answer.notes) == ((), ())
+    assert repr(answer) == repr(decide(rows, sample_ms=2.0, frame_ms=11.0))  # nan differs from nan
+
+
+def test_strict_refuses_what_uncertain_times_leave_open():
+    with pytest.raises(ReportError, match="--strict.* slow .*the machine was busy.*--retime"):
+        decide(doubt(table(THREE), "slow"), sample_ms=2.0, frame_ms=11.0, strict=True)
+
+
+def test_what_may_fit_is_not_said_to_need_more():
+    rows = doubt(table(THREE), *THREE, low=0.1)
+    with pytest.raises(
+        ReportError, match=r"cheap at 1 spp, needs 3 ms \(uncertain: 2.1 ms at least"
+    ):
+        decide(rows, sample_ms=2.0, frame_ms=2.5)
 
 
 def test_equal_results_give_equal_decisions_that_json_can_hold(results):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import importlib
+import re
 import tomllib
 from dataclasses import replace
 from pathlib import Path
@@ -18,6 +19,7 @@ from rlbench.benchmark.results import (
     to_dataframe,
 )
 from tests.reports.conftest import renamed, rows
+from tests.reports.formula_results import doubt
 
 PROJECT = tomllib.loads((Path(__file__).parents[2] / "pyproject.toml").read_text())["project"]
 REPORTS = PROJECT["entry-points"]["rlbench.reports"]
@@ -138,14 +140,10 @@ def test_equal_results_give_equal_files(name, results, tmp_path):
 
 
 @pytest.mark.parametrize("name", ["summary", "table1", "ablation"])
-def test_pages_mark_unreliable_times_and_give_the_reason(name, everything, tmp_path):
-    is_time = (everything["unit"] == "ms") & (everything["metric"] != "sample_ms")
-    is_busy = is_time & (everything["method"] == "ours") & (everything["scene"] == "hall")
-    busy = everything.assign(note=is_busy.map({True: "unreliable: busy", False: ""}))
-    extra = busy[is_busy & (busy["metric"] == "plan_ms")].assign(metric="inference_ms")
-    page = writer(name)(pd.concat([busy, extra]), tmp_path)[0].read_text()
-    assert "- inference_ms of ours on hall at 1, 4 spp: busy" in page
-    assert "? |" in page
+def test_pages_mark_uncertain_times_and_give_the_reason(name, everything, tmp_path):
+    page = writer(name)(doubt(everything, "ours", scene="hall", high=40), tmp_path)[0].read_text()
+    assert "- inference_ms of ours on hall at 1, 4 spp: the machine was busy" in page
+    assert re.search(r"\d ±[\d.]+( %)? \|", page)
 
 
 def test_rows_that_cannot_share_a_mean_are_refused(results, tmp_path):

@@ -18,6 +18,7 @@ from reports.layout.latex import MAX_ROWS, PREAMBLE, to_latex
 from reports.layout.page import MAX_LINES, Section, write_page
 from reports.layout.style import FAMILY_COLOURS, line_styles
 from reports.layout.tables import Bold, Table, rank_rows, to_markdown
+from reports.viewer.page import to_json
 
 BUDGETS = tuple(f"{spp} spp" for spp in range(6))
 CELLS = (Bold("21.50"), "9.25 [-1.00, 0.10] not resolved", "-")
@@ -27,6 +28,22 @@ WIDE = Table(
     ("method", *BUDGETS),
     tuple((f"accumulate/{i}", *[CELLS[1]] * 6) for i in range(MAX_ROWS + 1)),
 )
+
+
+HOSTILE = "CPU\n\\input{x} $a$ | <script> <!-- [l](http://x) ^^M"
+
+
+def test_names_of_strangers_stay_text_in_every_format():
+    table = Table(HOSTILE, HOSTILE, ("method", HOSTILE), ((HOSTILE, HOSTILE),), note=HOSTILE)
+    tex, page = to_latex(table), to_markdown(table)
+    assert "\\input" not in tex
+    assert "$a$" not in tex
+    assert "^^" not in tex
+    assert not [line for line in page.splitlines() if line.startswith("\\input")]
+    assert "<script" not in page
+    assert "<!--" not in page
+    assert "](" not in page
+    assert "<" not in to_json({"device": HOSTILE})
 
 
 def test_special_characters_are_escaped():

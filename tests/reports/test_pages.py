@@ -24,15 +24,15 @@ def summary_page(results, tmp_path_factory):
 
 def test_summary_has_means_frame_times_scenes_and_one_bold_row(summary_page):
     for method in ("ntas", "oidn", "mean"):
-        (mean, *_) = cells(summary_page, "psnr [dB], mean over scenes", f"{method} ")[1].split()
+        (mean, *_) = cells(summary_page, "PSNR [dB], mean over scenes", f"{method} ")[1].split()
         assert mean == f"{METHODS[method][0] + OFFSET:.2f}"
     line = cells(summary_page, "frame time", "ours | 2 ")
     sampling = 1.98 * sum(SAMPLE_MS.values()) / 4
     expected = [2, 1.98, 0, 5.5, 0, sampling, 11, 16.5 + sampling, 16.5, 1.2 * 16.5]
     assert [float(cell) for cell in line] == pytest.approx(expected, abs=0.005)
-    titles = re.findall(r"### psnr \[dB\], (.*)", summary_page)
+    titles = re.findall(r"### PSNR \[dB\], (.*)", summary_page)
     assert titles == ["mean over scenes", *sorted(SCENES)]
-    section = summary_page[summary_page.index("### psnr [dB], mean over") :].split("\n###")[0]
+    section = summary_page[summary_page.index("### PSNR [dB], mean over") :].split("\n###")[0]
     assert section.count("**") == 2 * 5
     assert "peak 1, clipped sRGB. Higher is better." in summary_page
     assert "Unreliable times" not in summary_page
@@ -54,7 +54,7 @@ def test_many_scenes_have_no_table_each(tmp_path):
     scenes = [[replace(r, scene=f"scene{i}", clip=f"scene{i}") for r in ours] for i in range(9)]
     for count, tables in ((8, 9), (9, 1)):
         some = to_dataframe([r for part in scenes[:count] for r in part])
-        assert summary.write(some, tmp_path)[0].read_text().count("### psnr [dB]") == tables
+        assert summary.write(some, tmp_path)[0].read_text().count("### PSNR [dB]") == tables
 
 
 def test_clips_have_a_row_each_the_best_first_and_the_difference_to_ours(results, tmp_path):
@@ -83,8 +83,8 @@ def test_a_summary_of_many_methods_is_brief(tmp_path):
         some = to_dataframe([r for r in many if r.method <= methods])
         page, data, *_ = summary.write(some, tmp_path)
         text = page.read_text()
-        assert text.count("### psnr [dB], city") == scenes
-        assert ("### relmse" in text) == bool(scenes)
+        assert text.count("### PSNR [dB], city") == scenes
+        assert ("### relMSE" in text) == bool(scenes)
         assert "relmse" in set(pd.read_csv(data)["metric"])
         assert text.count("| m00 | 0.5 |") == scenes
         assert text.count("| m00 | 1 |") == 1

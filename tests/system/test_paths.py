@@ -4,11 +4,16 @@ from __future__ import annotations
 
 import errno
 import os
+import shutil
+import subprocess
+import sys
 
 import pytest
 
 from rlbench.errors import RlbenchError
 from rlbench.system import paths
+from rlbench.system.folder_lock import locked_folder
+from rlbench.system.paths import WriteError
 
 synchronize = paths._synchronize  # which a fixture of all tests replaces
 
@@ -125,3 +130,52 @@ def test_a_read_only_folder_is_reported(tmp_path, monkeypatch):
 def test_other_errors_of_the_block_are_not_disguised(tmp_path):
     with pytest.raises(FileNotFoundError), paths.atomic_write(tmp_path / "file"):
         (tmp_path / "absent").read_text()
+
+
+def test_a_folder_that_is_removed_meanwhile_is_named(tmp_path):
+    def write():
+        with paths.atomic_write(tmp_path / "out" / "a.txt") as temporary:
+            temporary.write_text("x")
+            shutil.rmtree(tmp_path / "out")
+
+    with pytest.raises(
+        WriteError, match=r"a\.txt cannot be written \(its folder .*out was removed"
+    ):
+        write()
+
+
+def test_a_missing_input_is_not_blamed_on_the_folder(tmp_path):
+    with pytest.raises(FileNotFoundError), paths.atomic_write(tmp_path / "a.txt"):
+        (tmp_path / "missing").read_text()
+
+
+@pytest.mark.parametrize("make", [os.symlink, os.link], ids=["link", "second-name"])
+def test_a_file_elsewhere_is_not_appended_to(tmp_path, make):
+    (tmp_path / "notes").write_text("precious")
+    make(tmp_path / "notes", tmp_path / "log")
+    with pytest.raises(WriteError):
+        paths.open_to_append(tmp_path / "log")
+    assert (tmp_path / "notes").read_text() == "precious"
+
+
+def test_a_folder_below_results_that_is_a_link_is_refused_and_the_results_may_be_one(tmp_path):
+    (tmp_path / "elsewhere").mkdir()
+    (tmp_path / "results").symlink_to("elsewhere")
+    inside = tmp_path / "results" / "images"
+    assert paths.check_no_link(tmp_path / "results", inside / "a") == inside / "a"
+    inside.symlink_to(tmp_path)
+    with pytest.raises(WriteError, match="images is a link"):
+        paths.check_no_link(tmp_path / "results", inside / "a")
+
+
+def test_the_next_lock_removes_what_a_killed_process_left_and_nothing_of_a_living_one(tmp_path):
+    code = (
+        "import os, sys; from pathlib import Path; from rlbench.system import paths\n"
+        "with paths.atomic_write(Path(sys.argv[1])) as file: file.touch(); os._exit(1)"
+    )
+    subprocess.run([sys.executable, "-c", code, str(tmp_path / "clip" / "a.exr")], check=False)
+    assert len(list(tmp_path.rglob(".*.a.exr"))) == 1
+    with paths.atomic_write(tmp_path / "clip" / "b.exr") as alive:
+        alive.touch()
+        with locked_folder(tmp_path):
+            assert list(tmp_path.rglob("*.exr")) == [alive]

@@ -1,6 +1,8 @@
 """What the constants of the memory are worth: scores with others in their place.
 
 Command: python -m methods.ours.experiments.memory_constants CLIPS --spp 1,4 --method ours
+With --of sizes: other sizes in pixels, to ask whether they should grow with the frame. The score
+is PSNR without the noise of the reference.
 
 Networks stay as they are, so a change that a network would have to learn shows as less than it is.
 """
@@ -11,22 +13,26 @@ import argparse
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
+from statistics import fmean
 from types import ModuleType
 
 import pandas as pd
 from rich.progress import track
 
+import baselines.accumulate.density as density
 import baselines.accumulate.memory as memory
 import baselines.accumulate.method as method_by_rule
 from methods.ours.experiments.command import add_clips, print_gains, read_cells
 from rlbench import registry
+from rlbench.clips.stored import open_clip
+from rlbench.method import Method
 from rlbench.ops import accumulation, antilag
-from rlbench.training.train_state import validate
+from rlbench.run import run_clip
 
 PROGRAM = "python -m methods.ours.experiments.memory_constants"
 AS_THEY_ARE = "as they are"
 
-Constants = dict[tuple[ModuleType, str], float]
+Constants = Mapping[tuple[ModuleType, str], float | tuple[int, ...]]
 CHANGES: Mapping[str, Constants] = {
     AS_THEY_ARE: {},
     "fade with the surface 2": {(accumulation, "SURFACE_FALLOFF"): 2.0},
@@ -40,6 +46,20 @@ CHANGES: Mapping[str, Constants] = {
     "a blend of 0.45": {(method_by_rule, "BLEND"): 0.45},
     "changes from 3 errors": {(antilag, "NOISE_ERRORS"): 3.0},
 }
+# sizes in pixels; the rules were made on frames of 160 to 192
+SIZES: Mapping[str, Constants] = {
+    AS_THEY_ARE: {},
+    "contrast in windows of 5": {(density, "CONTRAST_SIDE"): 5},
+    "contrast in windows of 7, blurred over 7": {
+        (density, "CONTRAST_SIDE"): 7,
+        (density, "BLUR_SIDE"): 7,
+    },
+    "contrast blurred over 7": {(density, "BLUR_SIDE"): 7},
+    "antilag in cells of 8": {(antilag, "CELL"): 8},
+    "antilag in cells of 2": {(antilag, "CELL"): 2},
+    "antilag in windows of 5 and 25 cells": {(antilag, "WINDOWS"): (5, 25)},
+}
+TABLES = {"memory": CHANGES, "sizes": SIZES}
 
 
 @contextmanager
@@ -55,13 +75,26 @@ def constants(values: Constants) -> Iterator[None]:
             setattr(*key, value)
 
 
-def measure_clip(folder: Path, spp: float, name: str) -> Iterator[dict[str, object]]:
-    """PSNR in dB with each change, the mean over the frames of a clip."""
+def measure_clip(
+    folder: Path, spp: float, name: str, changes: Mapping[str, Constants]
+) -> Iterator[dict[str, object]]:
+    """Debiased PSNR in dB with each change, the mean over the frames of a clip."""
     method = registry.load_method(name, "cpu")
-    for label, values in CHANGES.items():
+    for label, values in changes.items():
         with constants(values):
-            psnr = validate(method, {folder.name: [folder]}, [spp], "cpu").psnr
+            psnr = mean_psnr(method, folder, spp)
         yield {"clip": folder.name, "spp": spp, "constants": label, "psnr": psnr}
+
+
+def mean_psnr(method: Method, folder: Path, spp: float) -> float:
+    """PSNR without the noise of the reference, in dB: the mean over the frames of a clip."""
+    metric = registry.load_plugin("metrics", "psnr_debiased")
+    clip = open_clip(folder, method.traits.inputs)
+    scores: list[float] = []
+    for result in run_clip(method, clip, spp):
+        halves = result.frame.reference.half_a, result.frame.reference.half_b
+        scores += metric.score(metric.compare(result.image, *halves)).tolist()
+    return fmean(scores)
 
 
 def main() -> None:
@@ -72,10 +105,14 @@ def main() -> None:
     )
     add_clips(parser)
     parser.add_argument("--method", default="ours", help="a row with a memory (default: ours)")
+    parser.add_argument("--of", default="memory", choices=TABLES, help="which constants")
     arguments = parser.parse_args()
+    changes = TABLES[arguments.of]
     cells = read_cells(parser, arguments)
     rows = [
-        row for cell in track(cells, "measuring") for row in measure_clip(*cell, arguments.method)
+        row
+        for cell in track(cells, "measuring")
+        for row in measure_clip(*cell, arguments.method, changes)
     ]
     table = pd.DataFrame(rows).pivot_table(
         index="constants", columns="spp", values="psnr", sort=False

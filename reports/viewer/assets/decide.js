@@ -4,10 +4,10 @@
 const TINY = 1e-9; // stands for a budget of 0 spp, whose logarithm would be infinite
 const logs = (spp) => Math.log(Math.max(spp, TINY));
 
-/** Frame time at each measured budget, ms. */
-export function frameTimes(curve, sampleMs) {
+/** Frame time at each measured budget, ms; of the ends of its interval with `end` low_ms, high_ms. */
+export function frameTimes(curve, sampleMs, end = "fixed_ms") {
   const gbuffer = curve.gbuffer_ms + curve.gbuffer_samples * sampleMs;
-  return curve.fixed_ms.map((fixed, i) => gbuffer + fixed + curve.samples[i] * sampleMs);
+  return curve[end].map((fixed, i) => gbuffer + fixed + curve.samples[i] * sampleMs);
 }
 
 /** Frame time at any budget between the smallest and the largest measured one; NaN outside. */
@@ -64,19 +64,30 @@ export function verdict(gap, unit, tie) {
   return gap.low <= 0 && gap.high >= 0 ? "not resolved" : "trails";
 }
 
-/** A curve over the budgets whose times are reliable, as `rlbench decide` ranks; null without any. */
-export function reliable(curve) {
-  const keep = (values) => values.filter((_, i) => !curve.unreliable[i]);
-  if (curve.unreliable.every(Boolean)) return null;
-  const [spp, units, fixed_ms, samples] = [curve.spp, curve.units, curve.fixed_ms, curve.samples].map(keep);
-  return { ...curve, spp, units, fixed_ms, samples, unreliable: spp.map(() => false) };
+/** The denoisers that would win with their times at the low, and all others at the high end. */
+export function possibleWinners(curves, sampleMs, deadline, sign) {
+  const competing = curves.filter((each) => each.competes);
+  const scores = (end) =>
+    competing.map((curve) => {
+      const spp = bestSpp({ ...curve, fixed_ms: curve[end] }, sampleMs, deadline, sign);
+      return Number.isNaN(spp) ? -Infinity : sign * mean(unitsAt(curve, spp));
+    });
+  const [best, worst] = [scores("low_ms"), scores("high_ms")];
+  return competing.filter(
+    (_, i) => best[i] > -Infinity && worst.every((score, j) => j === i || best[i] >= score),
+  );
 }
 
-/** Every denoiser that fits the deadline at its best reliable budget, the best first. */
+/** How far frame times may be from the ends of their intervals, as a share of them. */
+export function uncertainty(curve, sampleMs) {
+  const [times, low, high] = ["fixed_ms", "low_ms", "high_ms"].map((end) => frameTimes(curve, sampleMs, end));
+  return Math.max(...times.map((time, i) => Math.max(high[i] / time, time / low[i]) - 1));
+}
+
+/** Every denoiser that fits the deadline at its best budget, the best first. */
 export function rank(curves, sampleMs, deadline, { sign, unit, student, tie }) {
-  const fitting = curves.flatMap((each) => {
-    const curve = each.competes && reliable(each);
-    if (!curve) return [];
+  const fitting = curves.flatMap((curve) => {
+    if (!curve.competes) return [];
     const spp = bestSpp(curve, sampleMs, deadline, sign);
     if (Number.isNaN(spp)) return [];
     const units = unitsAt(curve, spp);
@@ -103,12 +114,15 @@ export function rank(curves, sampleMs, deadline, { sign, unit, student, tie }) {
   return fitting;
 }
 
-/** Points [time, score, curve, budget index] that no cheaper point beats, reliable times only. */
+/** Points [time, score, curve, budget index] that no cheaper point beats. */
 export function paretoFront(curves, sampleMs, sign) {
   const points = curves.flatMap((curve) =>
-    frameTimes(curve, sampleMs).flatMap((time, i) =>
-      curve.unreliable[i] ? [] : [{ time, score: mean(curve.units[i]), curve, index: i }],
-    ),
+    frameTimes(curve, sampleMs).map((time, i) => ({
+      time,
+      score: mean(curve.units[i]),
+      curve,
+      index: i,
+    })),
   );
   points.sort((a, b) => a.time - b.time || sign * (b.score - a.score));
   const front = [];

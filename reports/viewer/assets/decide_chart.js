@@ -11,12 +11,15 @@ const MARKS = [
   [100, "10 fps"],
 ]; // deadlines that are drawn
 
+const ENDS = ["fixed_ms", "low_ms", "high_ms"];
+
 /** Score against frame time of all curves of a question: {curves, metric, ranked, look}. */
 export function drawCurves({ curves, metric, ranked, look }) {
-  const times = curves.flatMap((curve) => frameTimes(curve, state.sample));
+  const times = curves.flatMap((curve) => ENDS.flatMap((end) => frameTimes(curve, state.sample, end)));
   const scores = curves.flatMap((curve) => curve.units.map(mean));
   const [from, to] = span(scores);
-  const width = Math.min(480, document.documentElement.clientWidth - 32);
+  const room = document.documentElement.clientWidth - 32;
+  const width = room < 900 ? Math.min(room, 560) : Math.min(820, room * 0.52);
   const least = Math.max(Math.min(...times, state.deadline), 0.01);
   const { svg, plot, px, py, box } = chart({
     width,
@@ -76,13 +79,14 @@ export function drawCurves({ curves, metric, ranked, look }) {
         { "data-curve": curve.method },
         s("title", {}, curve.method),
         s("path", { d: path(points), class: "curve", stroke: colour, "stroke-dasharray": dash }),
+        points.map(([, y], i) => bar(curve, i, y, px, colour)),
         points.map(([cx, cy], i) =>
           s("circle", {
             cx,
             cy,
             r: isNamed ? 3.5 : 2,
             stroke: colour,
-            fill: curve.unreliable[i] ? "var(--paper)" : colour,
+            fill: curve.low_ms[i] < curve.high_ms[i] ? "var(--paper)" : colour,
           }),
         ),
       ),
@@ -93,4 +97,11 @@ export function drawCurves({ curves, metric, ranked, look }) {
     plot.append(s("circle", { class: "winner", cx: px(first.frameMs), cy: py(first.mean), r: 8 }));
   }
   return svg;
+}
+
+/** The interval of an uncertain time; nothing for others. */
+function bar(curve, i, y, px, colour) {
+  if (!(curve.low_ms[i] < curve.high_ms[i])) return null;
+  const [x1, x2] = ["low_ms", "high_ms"].map((end) => px(frameTimes(curve, state.sample, end)[i]));
+  return s("line", { class: "doubt", x1, x2, y1: y, y2: y, stroke: colour });
 }

@@ -4,18 +4,22 @@ import { h, select, short, slider } from "viewer/dom.js";
 import { set, state } from "viewer/state.js";
 import { data } from "viewer/data.js";
 import { looks } from "viewer/colours.js";
-import { frameTimes, rank } from "viewer/decide.js";
+import { frameTimes, mean, possibleWinners, rank, uncertainty } from "viewer/decide.js";
 import { drawCurves } from "viewer/decide_chart.js";
+import { crops } from "viewer/decide_crops.js";
+import { doubt } from "viewer/table_rows.js";
 
 const LISTED = 12; // methods in the ranking
-const NAMED = 8; // curves with a colour
+const NAMED = 12; // curves with a colour
+const MENTIONED = 4; // methods that a sentence names
 
-/** The measured cost of a sample, and the first usual deadline that half of the methods meet. */
+/** The measured cost of a sample, and the first usual deadline that half of the denoisers meet. */
 export function firstQuestion() {
   const first = data.devices[0]?.decide[0]?.scopes[0];
   if (!(first?.sample_ms > 0)) return {};
   const sample = Number(first.sample_ms.toPrecision(3));
   const least = first.curves
+    .filter((curve) => curve.competes)
     .map((curve) => Math.min(...frameTimes(curve, sample)))
     .sort((a, b) => a - b);
   const needed = least[Math.floor(least.length / 2)];
@@ -89,10 +93,11 @@ export function decideView() {
     { type: "button", onclick: () => set({ sample: Number(scope().sample_ms.toPrecision(3)) }) },
     "measured cost",
   );
-  const [answer, plot, ranking, notes] = [
+  const [answer, plot, ranking, pictures, notes] = [
     h("p", { class: "answer", role: "status" }),
     h("div", { class: "plot" }),
     h("div", { class: "scroll grows" }),
+    h("div", { class: "crops" }),
     h("p", { class: "hint" }),
   ];
   const element = h(
@@ -106,6 +111,7 @@ export function decideView() {
     ),
     answer,
     h("div", { class: "beside" }, plot, ranking),
+    pictures,
     notes,
   );
   const update = () => {
@@ -118,7 +124,9 @@ export function decideView() {
       tie: data.tie_db,
     };
     const ranked = rank(scope().curves, state.sample, state.deadline, options);
-    answer.replaceChildren(...describe(ranked));
+    const possible = possibleWinners(scope().curves, state.sample, state.deadline, metric().sign);
+    answer.replaceChildren(...describe(ranked, possible));
+    crops(pictures, ranked, scope().name);
     plot.replaceChildren(
       drawCurves({ curves: scope().curves, metric: metric(), ranked, look: lookOf(ranked) }),
     );
@@ -128,7 +136,7 @@ export function decideView() {
       ...metric().device_mixes.map((each) => `Two devices: ${each}.`),
       `Frame time: ${gbufferText()} + inference on ${device().name || "an unnamed device"} + drawn samples x cost of a sample (measured: ${short(scope().sample_ms)} ms, ${metric().cost_source || "no source"}).`,
       `Intervals: 95 %, Student's t over ${scope().unit}. Between measured budgets scores are linear in log spp; none is extrapolated.`,
-      doubts(scope().curves),
+      ...doubts(scope()),
       ...scope().missing.map((each) => `${each}.`),
     ].join(" ");
   };
@@ -144,18 +152,33 @@ function gbufferText() {
   if (reading.gbuffer_ms) return `G-buffer (${short(reading.gbuffer_ms)} ms)`;
   return `G-buffer (${short(reading.gbuffer_samples)} samples, as measured; yours: rlbench view --gbuffer-ms)`;
 }
-function doubts(curves) {
-  const names = curves.filter((each) => each.unreliable.some(Boolean)).map((each) => each.method);
-  return names.length ? `Hollow: unreliable times of ${names.join(", ")}, which are not ranked.` : "";
+function doubts({ curves, uncertain_times }) {
+  const isWide = curves.some((curve) => curve.low_ms.some((low, i) => low < curve.high_ms[i]));
+  const bars = isWide ? ["Hollow with a bar: an uncertain time and its interval."] : [];
+  return [...bars, ...uncertain_times.map((each) => `Uncertain: ${each}.`)];
 }
-const lookOf = (ranked) => looks(ranked.slice(0, NAMED).map((each) => each.method));
 
-function describe(ranked) {
+/** Colours of the curves: all of a few; of many, those that fit, and then the best. */
+function lookOf(ranked) {
+  const best = (curve) => Math.max(...curve.units.map((units) => metric().sign * mean(units)));
+  const others = [...scope().curves].sort((one, other) => best(other) - best(one));
+  const names = new Set([...ranked, ...others].map((each) => each.method));
+  return looks([...names].slice(0, NAMED));
+}
+
+const listNames = (names) =>
+  names.slice(0, MENTIONED).join(", ") +
+  (names.length > MENTIONED ? ` and ${names.length - MENTIONED} more` : "");
+
+function describe(ranked, possible) {
   if (!ranked.length) {
     const { time, curve, spp } = cheapest(scope().curves, state.sample);
+    const open = possible.map((each) => each.method);
     return [
-      h("strong", {}, "No denoiser that was timed here fits. "),
-      `The cheapest, ${curve.method} at ${short(spp)} spp, needs ${short(time)} ms. These are times of ${device().name || "an unnamed device"}.`,
+      h("strong", {}, "No denoiser with a time fits. "),
+      `The cheapest, ${curve.method} at ${short(spp)} spp, needs ${short(time)} ms${doubt(uncertainty(curve, state.sample))}. `,
+      open.length ? `Times are uncertain: ${listNames(open)} may fit. ` : "",
+      `These are times of ${device().name || "an unnamed device"}.`,
     ];
   }
   const [first, second] = ranked;
@@ -173,6 +196,13 @@ function describe(ranked) {
       { trails: "Leads", tie: "A tie with", "not resolved": "Not resolved from" }[second.verdict] ??
       "No interval, since there is one clip, to";
     parts.push(`${words} ${second.method}: ${number(gap.mean)}${unitText()}${bracket(gap)}.`);
+  }
+  const rivals = possible.filter((each) => each.method !== first.method);
+  if (rivals.length) {
+    const involved = [first.curve, ...rivals].map((each) => uncertainty(each, state.sample));
+    parts.push(
+      ` Times here are uncertain by ${Math.round(100 * Math.max(...involved))} %: ${listNames(rivals.map((each) => each.method))} could take its place.`,
+    );
   }
   if (others.length > 1)
     parts.push(` ${others.length} methods tie with it or are not resolved from it.`);
@@ -215,7 +245,7 @@ function tabulate(ranked) {
           h("td", {}, short(each.spp) + (each.isLargest ? " max" : "")),
           h("td", {}, number(each.mean)),
           h("td", {}, i ? number(each.gap.mean) + bracket(each.gap) : "–"),
-          h("td", {}, short(each.frameMs)),
+          h("td", {}, short(each.frameMs) + doubt(uncertainty(each.curve, state.sample))),
           h("td", {}, each.verdict),
         ),
       ),

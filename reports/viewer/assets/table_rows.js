@@ -58,10 +58,13 @@ export const score = (value) =>
     : metric().unit === "dB"
       ? value.toFixed(2)
       : short(value);
-export const time = (row, value) =>
-  value === null || value === undefined
-    ? "–"
-    : short(value) + (row.unreliable ? data.unreliable_mark : "");
+export const time = (row, part) => {
+  const [value, share] = [row[`${part}_ms`], row[`${part}_uncertainty`]];
+  return value === null || value === undefined ? "–" : short(value) + doubt(share);
+};
+/** What stands after an uncertain time; nothing after others. A share without a bound is null. */
+export const doubt = (share) =>
+  share === null || share > data.wide ? ` ±${share === null ? "∞" : Math.round(100 * share)} %` : "";
 export const difference = (row) =>
   row.best
     ? "best"
@@ -77,8 +80,8 @@ export function texts(shown) {
       short(row.target_spp),
       score(row.mean),
       difference(row),
-      time(row, row.inference_ms),
-      time(row, row.frame_ms),
+      time(row, "inference"),
+      time(row, "frame"),
       row.verdict + row.mark,
     ]),
   ];

@@ -110,7 +110,7 @@ export function tableView() {
       h(
         "p",
         {},
-        `${metric().title}: ${metric().convention}. Bars: 95 % interval of the paired difference to the best at its budget; ${data.unreliable_mark} a time is unreliable, measured on a busy machine; † not resolved after Holm's correction for the comparisons of its scene and budget. Frame time: G-buffer + inference + samples.`,
+        `${metric().title}: ${metric().convention}. Bars: interval of the paired difference to the best at its budget. ${data.verdict_note} ±: how far a quiet machine's time may be from it. Frame time: G-buffer + inference + samples.`,
       ),
       h(
         "details",
@@ -176,8 +176,8 @@ function draw(shown) {
       h("td", {}, score(row.mean)),
       h("td", {}, difference(row)),
       h("td", {}, bar(row, reach)),
-      h("td", {}, time(row, row.inference_ms)),
-      h("td", {}, time(row, row.frame_ms)),
+      h("td", {}, time(row, "inference")),
+      h("td", {}, time(row, "frame")),
       h("td", {}, row.verdict + row.mark),
     ),
   );

@@ -23,7 +23,7 @@ from rlbench.benchmark.regression.baseline import (
     only_preset,
     scores,
 )
-from rlbench.benchmark.results import UNRELIABLE
+from rlbench.benchmark.results import UNCERTAIN
 from rlbench.errors import OptionError, PluginError
 
 if TYPE_CHECKING:
@@ -77,7 +77,7 @@ class RegressionReport:
     """The comparison of results with a baseline, line by line."""
 
     diffs: tuple[BaselineDiff, ...]
-    unreliable: tuple[ScoreKey, ...] = ()  # with times that failed their test; they gate nothing
+    uncertain: tuple[ScoreKey, ...] = ()  # with times of a wide interval; they gate nothing
     speed: tuple[SpeedResult, ...] = ()
 
     @property
@@ -120,12 +120,12 @@ class RegressionReport:
     def text(self) -> str:
         """The differences as a table, failures first, and a summary in the last line.
 
-        Unreliable times are named before it; scores do not depend on them.
+        Uncertain times are named before it; scores do not depend on them.
         """
         lines = [diff.cells for diff in self.shown]
         table = _aligned([COLUMNS, *lines]) if lines else []
         speed = [str(result) for result in self.speed]
-        return "\n".join([*table, *speed, *_unreliable_lines(self.unreliable), self.summary])
+        return "\n".join([*table, *speed, *_uncertain_lines(self.uncertain), self.summary])
 
 
 def compare(table: pd.DataFrame, baseline: Baseline, subset: bool = False) -> RegressionReport:
@@ -154,22 +154,22 @@ def compare(table: pd.DataFrame, baseline: Baseline, subset: bool = False) -> Re
     for key in sorted(measured.keys() - expected.keys()):
         if score := measured[key]:
             diffs.append(BaselineDiff(key, "new", None, score.psnr, baseline.tolerance_db))
-    return RegressionReport(tuple(diffs), unreliable_times(table))
+    return RegressionReport(tuple(diffs), uncertain_times(table))
 
 
-def unreliable_times(table: pd.DataFrame) -> tuple[ScoreKey, ...]:
-    """Method, scene and budget of the times that failed their test."""
-    rows = table[(table["unit"] == "ms") & table["note"].str.startswith(UNRELIABLE)]
+def uncertain_times(table: pd.DataFrame) -> tuple[ScoreKey, ...]:
+    """Method, scene and budget of the times with a wide interval."""
+    rows = table[(table["unit"] == "ms") & table["note"].str.startswith(UNCERTAIN)]
     keys = rows[["method", "scene", "target_spp"]].drop_duplicates()
     return tuple(sorted(ScoreKey(*key) for key in keys.itertuples(index=False, name=None)))
 
 
-def _unreliable_lines(keys: Sequence[ScoreKey]) -> list[str]:
-    """One line for each method with unreliable times."""
+def _uncertain_lines(keys: Sequence[ScoreKey]) -> list[str]:
+    """One line for each method with uncertain times."""
     lines = []
     for method in sorted({key.method for key in keys}):
         cells = [f"{key.scene} at {key.target_spp:g} spp" for key in keys if key.method == method]
-        lines.append(f"unreliable times of {method}, which gate nothing: {', '.join(cells)}")
+        lines.append(f"uncertain times of {method}, which gate nothing: {', '.join(cells)}")
     return lines
 
 
@@ -302,11 +302,12 @@ def judge(gate: SpeedGate, row: Timing, reference: Timing) -> SpeedResult:
 
     The ends are those of the clock's 95 % intervals of the two medians, divided. The true ratio is
     below the lower end with probability 0.05 at most (Bonferroni over one end of each), so that is
-    how often a gate fails by chance. A ratio of a time that failed its test is refused: undecided.
+    how often a gate fails by chance. A ratio of a time from a
+    busy machine is refused: undecided.
     """
     for name, timing in ((gate.row, row), (gate.reference, reference)):
-        if timing.unreliable:
-            reason = f"the time of {name} is unreliable: {timing.unreliable}"
+        if timing.disturbance:
+            reason = f"the time of {name} is uncertain: {timing.disturbance}"
             return SpeedResult(gate, UNDECIDED, reason=reason)
     ratio = row.inference.p50 / reference.inference.p50
     low = ratio * (1 - row.half_width) / (1 + reference.half_width)

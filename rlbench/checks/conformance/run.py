@@ -8,7 +8,7 @@ import torch
 from rich.progress import BarColumn, MofNCompleteColumn, TextColumn, TimeRemainingColumn
 
 from rlbench import registry
-from rlbench.checks.conformance import interface_checks, state_checks
+from rlbench.checks.conformance import interface_checks, recording_checks, state_checks
 from rlbench.checks.conformance.method_under_test import Check, MethodUnderTest
 from rlbench.checks.result import CheckResult, Verdict, failed, not_applicable, passed
 from rlbench.checks.returns import Fault, WrongReturnError
@@ -16,12 +16,12 @@ from rlbench.system.progress import LoggedProgress
 
 CHECKS = {  # in the order in which they are defined
     check.name: check
-    for module in (interface_checks, state_checks)
+    for module in (interface_checks, state_checks, recording_checks)
     for check in vars(module).values()
     if isinstance(check, Check)
 }
 IMPORTABLE = "correct the line named in the error; `rlbench list methods` shows it again"
-COLUMNS = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn())
+COLUMNS = (TextColumn("{task.description}", markup=False), BarColumn(), MofNCompleteColumn())
 
 
 def run_check(method_under_test: MethodUnderTest, name: str) -> CheckResult:

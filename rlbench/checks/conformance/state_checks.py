@@ -26,6 +26,7 @@ from rlbench.checks.conformance.method_under_test import (
     requirement,
 )
 from rlbench.checks.frame_edits import select_clip, start_new_shot, stored_radiance, to_clip
+from rlbench.checks.returns import describe_value
 from rlbench.checks.tensors import is_bit_equal, iterate_tensors
 from rlbench.family import Traits
 from rlbench.frames import Frame, GBuffer, Reference, Samples, Size, StoredPool
@@ -133,6 +134,10 @@ def check_cut(tested: MethodUnderTest) -> str | None:
 def check_temporal(tested: MethodUnderTest) -> str | None:
     """Without a state, a frame does not depend on earlier frames."""
     run = tested.default_run
+    states = [frame.state for frame in run.frames]
+    if any(state is not None and state is not states[0] for state in states):
+        found = f"found another state, {describe_value(states[-1])}, after each frame"
+        return f"expected None or the state that was given, {found}"
     alone = tested.run(to_clip([run.frames[-1].frame])).images
     if is_bit_equal(alone[0], run.images[-1]):
         return None

@@ -39,7 +39,7 @@ from rlbench.checks.lint.radiance import (
     check_samples,
     check_seeds,
 )
-from rlbench.checks.result import CheckResult, Verdict, failed, passed
+from rlbench.checks.result import CheckResult, Verdict, failed, passed, warning
 from rlbench.clips.frame_files import nonfinite_mask
 from rlbench.clips.header import BUFFER_CHANNELS, Header
 
@@ -53,6 +53,10 @@ EXCUSED = {  # the checks that fail because of a limitation
     "depth": ("depth", "normal", "orientation"),  # the background of one is compared with the other
     "normal": ("normal", "depth", "orientation"),
 }
+BY_REFERENCE = (  # the checks that compare with the reference
+    *("sample independence", "independent seeds", "brightness", "reference halves"),
+    *("noise ceiling", "exposure"),
+)
 MAX_FRAMES = 3  # frames whose normals are compared with their depth
 
 
@@ -136,7 +140,17 @@ def lint_clip(arrays: ClipArrays) -> list[CheckResult]:
         check_noise_ceiling(upright),
         check_exposure(upright),
     ]
+    if "no reference" in arrays.header.limitations:
+        results = [_without_reference(result) for result in results]
     return [excuse_declared(result, arrays.header) for result in results]
+
+
+def _without_reference(result: CheckResult) -> CheckResult:
+    """A warning in place of the result of a check that compares with the reference."""
+    if result.check not in BY_REFERENCE:
+        return result
+    found = "frames have no reference, so nothing is compared with it (limitation of clip.toml)"
+    return warning(result.check, found, "render one if methods are to be scored on this clip")
 
 
 def fit_depth(arrays: ClipArrays) -> dict[str, DepthFit]:

@@ -19,7 +19,7 @@ from rlbench import registry
 from rlbench.checks.result import CheckResult, warning
 from rlbench.clips.exr import read_exr
 from rlbench.clips.frame_files import channel_names, exr_path, image_names
-from rlbench.clips.header import ClipError, Header, read_header
+from rlbench.clips.header import Header, read_header
 from rlbench.clips.importers import writer
 from rlbench.clips.importers.dump import find_dump_sequences
 from rlbench.clips.importers.layout import Layout
@@ -103,12 +103,14 @@ def read_clip_arrays(folder: Path, frames: int = 8) -> ClipArrays:
         planes = read(f"pool.{kind}", image_names(header, f"pool.{kind}"))
         pools[kind] = planes.view(len(planes), -1, 3, header.height, header.width)
     halves = (read("referenceA", ["rgb"]), read("referenceB", ["rgb"]))
-    if "no reference" in header.limitations and halves[0].flatten(1).isnan().all(1).any():
-        raise ClipError(
-            f"{folder} has frames without a reference among its first {len(indices)}; the linter "
-            "compares with references. Read fewer frames: rlbench lint --frames 1"
-        )
-    return ClipArrays(header, gbuffer, pools, *halves)
+    return ClipArrays(header, gbuffer, pools, *_stand_in(halves, pools))
+
+
+def _stand_in(halves: Sequence[Tensor], pools: Mapping[str, Tensor]) -> list[Tensor]:
+    """Halves of the reference, and where a frame has none the mean of its samples."""
+    absent = halves[0].flatten(1).isnan().all(1)[:, None, None, None]
+    means = [pool.mean(1) for pool in pools.values()]
+    return [half.where(~absent, means[0]) if means else half for half in halves]
 
 
 def _is_independent(pool: str) -> bool:
@@ -140,7 +142,9 @@ def import_arrays(source: Path, layout: Layout, start: int = 0) -> ClipArrays:
     gbuffer = {name: _stack([frame.gbuffer[name] for frame in frames]) for name in sequence.buffers}
     header = writer.clip_header(sequence, min(sequence.counts))
     pools = {"path": _stack([frame.pool for frame in frames])}
-    halves = (_stack([f.half_a for f in frames]), _stack([f.half_b for f in frames]))
+    halves = _stand_in(
+        [_stack([f.half_a for f in frames]), _stack([f.half_b for f in frames])], pools
+    )
     return ClipArrays(header, gbuffer, pools, *halves).without_stand_ins.sanitized
 
 

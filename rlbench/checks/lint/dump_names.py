@@ -35,7 +35,7 @@ WORDS = {  # of layers, parts, files and folders, the preferred first; the longe
     ),
     "depth": (
         *("worlddepth", "linearz", "viewz", "depth", "zdepth", "z", "dist", "distance", "dd"),
-        "denoisingdepth",
+        *("denoisingdepth", "devicez"),
     ),
     "albedo": (
         *("denoisingalbedo", "basecolor", "diffuseopacity", "diffusealbedo", "albedo"),
@@ -47,6 +47,11 @@ WORDS = {  # of layers, parts, files and folders, the preferred first; the longe
         *("hdr", "color", "colour", "sample"),
     ),
 }
+PARTS_OF_LIGHT = (  # words of images that are added to others, and are never the whole
+    *("emission", "emissive", "emit", "env", "environment", "envlight", "direct", "indirect"),
+    *("specular", "glossy", "transmission", "subsurface", "sss", "coat", "sheen", "volume"),
+    *("background", "shadow", "ambient", "lightgroup", "caustics"),
+)
 VAGUE = ("hdr", "color", "colour", "sample")  # words of radiance that many a layer has
 ENDINGS: dict[
     str, tuple[Sequence[str], ...]
@@ -86,7 +91,7 @@ class NamedImage(NamedTuple):
 class _Candidate(NamedTuple):
     """An image that names suggest, the better the lower its rank."""
 
-    rank: tuple[int, int]
+    rank: tuple[int, int, int]
     image: NamedImage
     path: Path  # of its first file
 
@@ -111,12 +116,11 @@ def find_named_images(source: Path) -> dict[str, NamedImage]:
             found[name] = image
     if "radiance" in found and "{spp}" in found["radiance"].pattern:
         found.setdefault("reference", found["radiance"])
-    for name in ("radiance", "reference"):
-        if name not in found:
-            raise SourceError(
-                f"{source}: no image looks like {name}; its names should contain one of "
-                f"{', '.join(WORDS[name])}. Found: {', '.join(sorted(groups)[:8])}"
-            )
+    if "radiance" not in found:
+        raise SourceError(
+            f"{source}: no image looks like radiance; its names should contain one of "
+            f"{', '.join(WORDS['radiance'])}. Found: {', '.join(sorted(groups)[:8])}"
+        )
     return found
 
 
@@ -153,7 +157,19 @@ def _candidates(pattern: str, path: Path) -> Iterator[tuple[str, _Candidate]]:
             endings = next((e for e in ENDINGS[name or "radiance"] if set(e) <= letters.keys()), ())
             if endings:
                 image = NamedImage(pattern, tuple(letters[e] for e in endings), part)
-                yield name, _Candidate(rank, image, path)
+                text = re.sub(
+                    r"(?<=v)\d+", "", f"{pattern} {part} {layer}"
+                )  # versions are in order
+                if name in ("", "radiance", "reference") and _is_part_of_light(text):
+                    continue
+                # of images by one word the shortest name is the whole, before color2; unnamed last
+                yield name, _Candidate((rank[0] + 5 * (not name), rank[1], len(text)), image, path)
+
+
+def _is_part_of_light(text: str) -> bool:
+    """Whether a word of a name says that an image is added to others."""
+    words = [word.lower() for word in re.findall(r"[A-Z]+(?![a-z])|[A-Z]?[a-z]+", text)]
+    return not set(PARTS_OF_LIGHT).isdisjoint(words)
 
 
 def _name_layer(layer: str, part: str, base: tuple[str, int]) -> tuple[str, tuple[int, int]]:

@@ -199,10 +199,13 @@ def _edges(image: Float[Tensor, "t c h w"]) -> Float[Tensor, "t 1 h w"]:
 def _detail(image: Float[Tensor, "t c h w"]) -> Float[Tensor, "t 1 h w"]:
     """Ranks in [0, 1] of the mean channel, minus the mean of their neighbourhood.
 
+    Equal values have equal ranks, so what has no edge has no detail.
     This removes gradients over the whole image, which two mirrored images can share.
     """
-    flat = image.mean(1).flatten(1)
-    ranks = (flat.argsort(1).argsort(1).float() / flat.shape[1]).view_as(image[:, :1])
+    flat = image.mean(1).flatten(1).contiguous()
+    ordered = flat.sort(1).values
+    first, end = (torch.searchsorted(ordered, flat, side=side) for side in ("left", "right"))
+    ranks = ((first + end - 1).float() / (2 * flat.shape[1])).view_as(image[:, :1])
     margin = [WINDOW // 2] * 4
     return ranks - F.avg_pool2d(F.pad(ranks, margin, mode="replicate"), WINDOW, 1)
 

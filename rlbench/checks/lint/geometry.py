@@ -193,10 +193,17 @@ def check_normals(
         angle = f"{math.degrees(fit.residual):.1f} degrees"
         found = f"unit length, but they deviate by {angle} from normals computed from depth"
         return warning("normal", found, "check that normal and depth show the same surface")
-    if is_upright and float(torch.linalg.det(fit.rotations).min()) < 0:
+    if is_upright and _is_curved(normal) and float(torch.linalg.det(fit.rotations).min()) < 0:
         found = "mirrored: they follow from depth only with one axis flipped"
         return failed("normal", found, "negate the flipped axis; world space is right-handed")
     return _check_space(arrays, fit)
+
+
+def _is_curved(normal: Tensor) -> bool:
+    """Do normals have two directions at least? One wall alone fits a mirrored rotation as well."""
+    vectors = normal.movedim(1, -1).reshape(-1, 3).double()
+    largest, second, _ = torch.linalg.eigvalsh(vectors.T @ vectors).flip(0).tolist()
+    return bool(second > 1e-4 * largest)
 
 
 def _check_space(arrays: ClipArrays, fit: DepthFit) -> CheckResult:

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import asdict, replace
+from dataclasses import asdict
 from itertools import product
 from pathlib import Path
 from typing import Any, Literal, NamedTuple
@@ -31,10 +31,9 @@ from rlbench.checks.lint.edges import (
 from rlbench.checks.lint.geometry import VIEW_DEPTH, check_depth, check_normals
 from rlbench.checks.lint.jitter import find_jitter_fault, frame_disagreements
 from rlbench.checks.lint.motion import (
-    DIRECTIONS,
+    FORMAT_V1,
     MARGIN_OPPOSITE,
     MIN_EXPLAINED,
-    MotionConvention,
     check_motion,
     format_share,
     rank_conventions,
@@ -49,7 +48,7 @@ from rlbench.clips.importers.sequence import SourceError
 from rlbench.system.documents import to_toml
 
 SURE, LIKELY = 0.1, 0.03  # leads over the next reading
-TO_PREVIOUS = MotionConvention().direction
+TO_PREVIOUS = FORMAT_V1.direction
 PERIODS = (8, 16, 32)  # of the jitter of engines
 Y_AXES: tuple[Literal["down", "up"], ...] = ("down", "up")
 MAX_JITTER_ERROR = 0.4  # of the jitter's change that a sequence does not explain
@@ -66,13 +65,6 @@ KINDS = {  # of depth: the reading, and the word of a layout
     "distance to the camera": "distance",
     "inverse depth 1 / z": "inverse",
     "z-buffer (0 near, 1 far)": "z-buffer",
-}
-UNITS = {
-    "pixels": ("pixels", 1.0),
-    "half pixels": ("pixels", 0.5),
-    "twice pixels": ("pixels", 2.0),
-    "NDC (-1..1)": ("ndc", 1.0),
-    "UV (0..1)": ("shares", 1.0),
 }
 Tables = dict[str, Any]
 
@@ -107,11 +99,11 @@ class Guess(NamedTuple):
 def guess_layout(source: Path) -> Guess:
     """The layout of a dump of EXR files, as far as names and readings show it.
 
-    Raises SourceError where no radiance, no reference or no frame is found.
+    Raises SourceError where no radiance or no frame is found.
     """
     tables: Tables = {name: image.to_table() for name, image in find_named_images(source).items()}
     emission = tables.pop("emission", None)
-    reasons = {name: "by its names" for name in tables}
+    reasons = {name: "by its names" + _hint(name, tables) for name in tables}
     for name, reason in (_read_counts(source, tables) | _read_dashes(source, tables)).items():
         reasons[name] += f"; {reason}"
     for name, reason in _read_alpha(source, tables).items():
@@ -138,6 +130,18 @@ def guess_layout(source: Path) -> Guess:
     return Guess(tables, reasons)
 
 
+def _hint(name: str, tables: Tables) -> str:
+    """What the names alone say of an image."""
+    if name == "radiance" and "reference" not in tables:
+        return "; no image looks like a reference, so nothing can be scored"
+    if name == "depth" and "devicez" in str(tables["depth"]).lower():
+        return (
+            "; DeviceZ is a z-buffer, in engines a reversed one: write kind = 'reversed z-buffer' "
+            "and near, the distance of the near plane"
+        )
+    return ""
+
+
 def format_guess(guess: Guess) -> str:
     """A TOML document with the reasons as comments."""
     lines = ["# Guessed by rlbench lint --guess: correct what it is not sure of."]
@@ -150,6 +154,12 @@ def format_guess(guess: Guess) -> str:
 def format_unclaimed(source: Path, layout: Layout) -> str:
     """Comments that list the channels which the layout does not read; empty where none is."""
     lines = list_unclaimed(source, layout)
+    lines += [
+        f"{path.relative_to(source)}: the jitter of the camera? Write [camera] with jitter = this "
+        "file, x and y of each frame on a line"
+        for path in list_files(source)
+        if "jitter" in path.name.lower() and layout.camera is None
+    ]
     head = "\n# Not read:\n" if lines else ""
     return head + "".join(f"# {line}\n" for line in lines)
 
@@ -207,7 +217,7 @@ def _read_alpha(source: Path, tables: Tables) -> dict[str, str]:
     """
     reasons = {}
     stored = import_arrays(source, decode_layout(tables, "guess"))
-    for name in ("reference", "radiance"):
+    for name in {"reference", "radiance"} & tables.keys():
         changed = {**tables, name: {**tables[name], "alpha": "straight"}}
         try:
             arrays = import_arrays(source, decode_layout(changed, "guess"))
@@ -329,10 +339,10 @@ def _read_motion(arrays: ClipArrays, tables: Tables) -> dict[str, str]:
     if shares[best] < MIN_EXPLAINED:
         found = f"no convention explains more than {format_share(shares[best])} of the change"
         return {"motion": f"unknown: {found}"}
-    if shares[best] - shares.get(_opposite(best), -math.inf) < MARGIN_OPPOSITE:
-        best = max(best, _opposite(best), key=lambda each: each.direction == TO_PREVIOUS)
-    _write_motion(best, tables["motion"])
-    other = next(each for each in shares if each not in (best, _opposite(best)))
+    if shares[best] - shares.get(best.opposite, -math.inf) < MARGIN_OPPOSITE:
+        best = max(best, best.opposite, key=lambda each: each.direction == TO_PREVIOUS)
+    best.write_to(tables["motion"])
+    other = next(each for each in shares if each not in (best, best.opposite))
     share, next_share = shares[best], shares[other]
     reasons.append(
         f"{_sureness(share - next_share)}: {best} explains {format_share(share)} of the change "
@@ -381,27 +391,6 @@ def _read_jitter(source: Path, tables: Tables) -> dict[str, str]:
     return {"motion": "likely: contains the jitter of [camera]", "camera": reason}
 
 
-def _opposite(convention: MotionConvention) -> MotionConvention:
-    """The negative in the other direction, which differs only by acceleration."""
-    x, y = convention.signs
-    (direction,) = set(DIRECTIONS) - {convention.direction}
-    return replace(convention, signs=(-x, -y), direction=direction)
-
-
-def _write_motion(best: MotionConvention, table: Tables) -> None:
-    """Write a convention as the keys of a layout."""
-    if best.swapped:
-        table["channels"] = table["channels"][::-1]
-    unit, scale = UNITS[best.scale]
-    to_previous = best.direction == TO_PREVIOUS
-    x, y = best.signs
-    table["unit"], table["y"] = unit, "down" if x == y else "up"
-    # the sign of x: along the direction that the words name, or against it
-    table["points"] = ("to" if x > 0 else "from") + (" previous" if to_previous else " next")
-    if scale != 1:
-        table["scale"] = scale
-
-
 def _read_handedness(arrays: ClipArrays, tables: Tables) -> dict[str, str]:
     if "normal" not in arrays.gbuffer:
         return {}
@@ -426,7 +415,7 @@ def _read_normal_space(arrays: ClipArrays, tables: Tables) -> dict[str, str]:
 
 def _read_demodulation(arrays: ClipArrays, tables: Tables) -> dict[str, str]:
     """Is the mean of the samples nearer to the reference after a product with albedo?"""
-    if "albedo" not in arrays.gbuffer:
+    if "albedo" not in arrays.gbuffer or "reference" not in tables:
         return {}
     mean, reference = local_mean(arrays.pools["path"].mean(1)), local_mean(arrays.reference)
     errors = [

@@ -6,8 +6,9 @@ A convention is tried on how much of the change between two frames its motion ex
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import product
+from typing import Any
 
 import numpy as np
 import torch
@@ -20,6 +21,13 @@ from rlbench.checks.result import CheckResult, failed, passed, warning
 from rlbench.clips.importers.sky import judge_sky
 from rlbench.ops.reprojection import reproject
 
+UNITS = {  # by scale: the unit of a layout, and a factor
+    "pixels": ("pixels", 1.0),
+    "half pixels": ("pixels", 0.5),
+    "twice pixels": ("pixels", 2.0),
+    "NDC (-1..1)": ("ndc", 1.0),
+    "UV (0..1)": ("shares", 1.0),
+}
 DIRECTIONS = {"to the previous frame": -1, "to the next frame": 1}  # offset of the other frame
 FLOOR = 0.01  # standard deviations: smaller differences are rounding and interpolation
 CHECK, SKY = "motion", "sky motion"
@@ -59,6 +67,26 @@ class MotionConvention:
         x, y = ("-" * (sign < 0) for sign in self.signs)
         axes = f"({y}y, {x}x)" if self.swapped else f"({x}x, {y}y)"
         return f"{axes} in {self.scale}, {self.direction}"
+
+    @property
+    def opposite(self) -> MotionConvention:
+        """The negative in the other direction, which differs only by acceleration."""
+        x, y = self.signs
+        (direction,) = set(DIRECTIONS) - {self.direction}
+        return replace(self, signs=(-x, -y), direction=direction)
+
+    def write_to(self, table: dict[str, Any]) -> None:
+        """Write the convention as the keys of a layout."""
+        if self.swapped:
+            table["channels"] = table["channels"][::-1]
+        unit, scale = UNITS[self.scale]
+        x, y = self.signs
+        table["unit"], table["y"] = unit, "down" if x == y else "up"
+        # the sign of x: along the direction that the words name, or against it
+        direction = " previous" if self.direction == FORMAT_V1.direction else " next"
+        table["points"] = ("to" if x > 0 else "from") + direction
+        if scale != 1:
+            table["scale"] = scale
 
 
 def format_share(share: float) -> str:

@@ -212,7 +212,7 @@ def write_results(
     """Store the results of a job, in place of older ones."""
     rows = [result_row(job, result) for result in results]
     document = {"schema": SCHEMA, "content_hash": content_hash, "results": rows}
-    with paths.atomic_write(_file(folder, job)) as unfinished:
+    with paths.atomic_write(paths.check_no_link(folder, _file(folder, job))) as unfinished:
         unfinished.write_text(json.dumps(document, indent=1), "utf-8")
 
 

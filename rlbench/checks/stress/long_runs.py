@@ -1,6 +1,7 @@
 """Section long-runs: drift, growth and convergence of temporal methods over 1,000 frames.
 
-Variants of a family run 400 frames, to save time.
+Variants of a family run 400 frames, to save time. A method that declares no memory must give the
+image of each frame alone, however many it has seen; one that returns a state all the same runs too.
 """
 
 from __future__ import annotations
@@ -16,8 +17,8 @@ import torch
 from jaxtyping import Float
 from torch import Tensor, nn
 
-from rlbench.checks.display import psnr
-from rlbench.checks.frame_edits import join_clips
+from rlbench.checks.display import largest_difference, psnr
+from rlbench.checks.frame_edits import join_clips, to_clip
 from rlbench.checks.result import CheckResult, Limits, judge, not_applicable
 from rlbench.checks.stress.section import MethodSection, StressedMethod
 from rlbench.checks.tensors import iterate_parts, iterate_tensors
@@ -52,11 +53,22 @@ CONVERGENCE = Limits(good=1.0, fair=0.1, unit="dB/doubling")
 # No worse than the mean of all samples; 6 dB is twice its error.
 CONVERGENCE_GAP = Limits(good=0.0, fair=6.0, unit="dB")
 
+# What the moving camera sees costs sound methods up to 3 dB; a black image costs more than 8.
+DIP = Limits(good=4.0, fair=8.0, unit="dB")
+# Bit-equal: a frame's image, alone and after others.
+SAME_IMAGE = Limits(good=0.0, fair=0.0, unit="display")
+ALL_FINITE = Limits(good=0.0, fair=0.0, unit="frames")
+DIP_FRAMES = 10  # in a row: a third of a second
+
+ALONE = "frame-alone"
 TESTS = (
-    *(f"drift-{clip}" for clip in CLIP_NAMES.values()),
+    *(f"{test}-{clip}" for clip in CLIP_NAMES.values() for test in ("drift", "dip")),
     *("convergence", "convergence-gap", "state-growth", "memory-growth", "state-magnitude"),
-    *(f"drift-{clip}-bf16" for clip in CLIP_NAMES.values()),
+    *("finite", "finite-bf16"),
+    *(f"{test}-{clip}-bf16" for clip in CLIP_NAMES.values() for test in ("drift", "dip")),
 )
+DECLARE = "declare Traits(temporal=True), or keep nothing of earlier frames and return None"
+FINITE = "find the frame and the division, logarithm or overflow in it; bound what is accumulated"
 LIMIT_HISTORY = "bound every accumulated value, and forget old frames at a fixed rate"
 CONVERGE = (
     "on static pixels, weight the history by its number of samples, and blend the filtered image "
@@ -65,22 +77,42 @@ CONVERGE = (
 
 
 def run(stressed: StressedMethod, is_quick: bool) -> Iterator[CheckResult]:
-    """All tests of one method; a method without a state is skipped."""
-    if not stressed.traits.temporal:
+    """All tests of one method; of one without a state, that it has no memory at all."""
+    if stressed.traits.temporal:
+        yield not_applicable(ALONE, "keeps a state: Traits(temporal=True)")
+    else:
+        yield _judge_alone(stressed, QUICK_FRAMES if is_quick else HALF_FRAMES)
+    if not stressed.keeps_state:
         for test in TESTS:
             yield not_applicable(test, "keeps no state: Traits(temporal=False)")
         return
     window = QUICK_WINDOW if is_quick else WINDOW
     frames = VARIANT_FRAMES if "/" in stressed.name else FRAMES
     full = _record_run(stressed, QUICK_FRAMES if is_quick else frames, window)
-    yield _judge_drift(full, STATIC)
+    yield from _judge_quality(full, STATIC)
     yield from _judge_convergence(full)
     yield from _judge_growth(full)
+    yield _judge_finite(full)
     if not is_quick:  # its windows are shorter than a period of the moving camera, 52 frames
-        yield _judge_drift(full, MOVING)
+        yield from _judge_quality(full, MOVING)
         half = replace(stressed, method=HalfPrecision(stressed.method, stressed.device))
         half_run = _record_run(half, HALF_FRAMES, window)
-        yield from (_judge_drift(half_run, clip, "-bf16") for clip in CLIP_NAMES)
+        for clip in CLIP_NAMES:
+            yield from _judge_quality(half_run, clip, "-bf16")
+        yield _judge_finite(half_run, "-bf16")
+
+
+def _judge_alone(stressed: StressedMethod, frames: int) -> CheckResult:
+    """The largest difference between a frame's image alone and after others, first and last."""
+    clip = long_clip(frames, stressed.device)
+    results = run_clip(stressed.method, clip, stressed.default_spp)
+    first, *_, last = ((result.image, result.frame) for result in results)
+    alone = [stressed.run(to_clip([frame]))[0].image for _, frame in (first, last)]
+    figure = largest_difference([first[0], last[0]], alone)
+    found = f"of the images of frames 0 and {frames - 1} to those of each frame alone"
+    if stressed.keeps_state:
+        found += "; a state is returned"
+    return judge(ALONE, figure, SAME_IMAGE, found, DECLARE)
 
 
 @dataclass(frozen=True)
@@ -99,6 +131,7 @@ class _LongRun:
     state_bytes: tuple[int, int]
     live_bytes: tuple[int, int]
     largest_value: float  # absolute, of the state
+    nonfinite: list[int]  # frames in which a pixel of either image is not finite
 
 
 @dataclass
@@ -124,10 +157,11 @@ def _record_run(stressed: StressedMethod, frames: int, window: int) -> _LongRun:
     clip = long_clip(frames, stressed.device)
     early = slice(min(20, frames // 4), min(20, frames // 4) + window)
     running_mean = _RunningMean()
-    scores, bytes_at, largest = [], {}, 0.0
+    scores, bytes_at, largest, nonfinite = [], {}, 0.0, []
     for result in run_clip(stressed.method, clip, stressed.default_spp):
         index = result.frame.index
         scores.append(_score(result, running_mean))
+        nonfinite += [] if bool(result.image.isfinite().all()) else [index]
         if index in (early.start, frames - 1):
             bytes_at[index] = count_state_bytes(result.state), count_live_bytes()
         if index % STATE_STEP == 0 or index == frames - 1:
@@ -144,6 +178,7 @@ def _record_run(stressed: StressedMethod, frames: int, window: int) -> _LongRun:
         (state_before, state_after),
         (live_before, live_after),
         largest,
+        nonfinite,
     )
 
 
@@ -163,11 +198,11 @@ def _nan_last(value: float) -> float:
     return math.inf if math.isnan(value) else value
 
 
-def _judge_drift(run: _LongRun, clip: int, suffix: str = "") -> CheckResult:
-    """dB lost from the early to the last frames, relative to the mean of each frame's samples.
+def _judge_quality(run: _LongRun, clip: int, suffix: str = "") -> Iterator[CheckResult]:
+    """dB lost from the early to the last frames, and at most in ten frames of the whole run.
 
-    The samples' own PSNR is subtracted, because the content of a moving clip changes, and medians
-    are compared, because a firefly costs the samples several dB.
+    They are relative to the mean of each frame's samples, because the content of a moving clip
+    changes, and medians are compared, because a firefly costs the samples several dB.
     """
     gain = run.psnr[:, clip] - run.sample_psnr[:, clip]
     early, late = gain[run.early].median(), gain[run.last].median()
@@ -175,8 +210,16 @@ def _judge_drift(run: _LongRun, clip: int, suffix: str = "") -> CheckResult:
         f"gain over the samples {early:.2f} dB in {_frames(run.early)}, {late:.2f} dB in "
         f"{_frames(run.last)}; {run.described}"
     )
-    test = f"drift-{CLIP_NAMES[clip]}{suffix}"
-    return judge(test, float(early - late), DRIFT, found, LIMIT_HISTORY)
+    name = f"{CLIP_NAMES[clip]}{suffix}"
+    yield judge(f"drift-{name}", float(early - late), DRIFT, found, LIMIT_HISTORY)
+    medians = gain.unfold(0, DIP_FRAMES, 1).median(-1).values
+    falls = medians.cummax(0).values - medians
+    at = int(falls.argmax())
+    found = (
+        f"gain over the samples {medians[at]:.2f} dB in {_frames(slice(at, at + DIP_FRAMES))}, "
+        f"{medians[: at + 1].max():.2f} dB before; {run.described}"
+    )
+    yield judge(f"dip-{name}", float(falls.max()), DIP, found, LIMIT_HISTORY)
 
 
 def _judge_convergence(run: _LongRun) -> Iterator[CheckResult]:
@@ -191,6 +234,13 @@ def _judge_convergence(run: _LongRun) -> Iterator[CheckResult]:
     yield judge("convergence", gained, CONVERGENCE, slopes, CONVERGE)
     levels = f"{image:.1f} dB in {_frames(run.last)}, the mean of all samples {mean:.1f} dB"
     yield judge("convergence-gap", float(mean - image), CONVERGENCE_GAP, levels, CONVERGE)
+
+
+def _judge_finite(run: _LongRun, suffix: str = "") -> CheckResult:
+    """Frames of the whole run, of either clip, whose image is not finite."""
+    first = f", the first is frame {run.nonfinite[0]}" if run.nonfinite else ""
+    found = f"{len(run.nonfinite)} frames are not finite{first}; {run.described}"
+    return judge(f"finite{suffix}", len(run.nonfinite), ALL_FINITE, found, FINITE)
 
 
 def _judge_growth(run: _LongRun) -> Iterator[CheckResult]:

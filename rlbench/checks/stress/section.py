@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
 
 import torch
@@ -15,15 +16,18 @@ import rlbench
 from rlbench import registry
 from rlbench.checks.result import CheckResult, failed
 from rlbench.checks.returns import CheckedReturns
+from rlbench.checks.stress.wrappers import ResumeRun
+from rlbench.clips.procedural.clip import procedural_clip
 from rlbench.errors import OptionError, PluginError, RlbenchError
 from rlbench.family import Traits
-from rlbench.frames import Clip
+from rlbench.frames import Clip, Size
 from rlbench.method import Method
 from rlbench.registry.near_names import unknown_name
 from rlbench.run import FrameResult, run_clip
 from rlbench.system import provenance
 
 DEFAULT_SPP = 2.0  # samples per pixel of tests in which the budget does not matter
+PROBED_SIZE, PROBED_FRAMES = Size(1, 16, 16), 32  # in which a row shows whether it keeps a state
 RETURN_IMAGE = "return a finite image for this input, without an exception"
 FOLDER = "rlbench.checks.stress"
 CORE_SECTIONS = {  # module:object by name
@@ -55,6 +59,18 @@ class StressedMethod:
     def default_spp(self) -> float:
         """2 samples per pixel, or the nearest budget that the method supports."""
         return self.traits.nearest_spp(DEFAULT_SPP)
+
+    @cached_property
+    def keeps_state(self) -> bool:
+        """Does it declare or return a state? One that gives back what it was given keeps none."""
+        if self.traits.temporal:
+            return True
+        clip = procedural_clip(0, PROBED_SIZE, PROBED_FRAMES, device=self.device)
+        given = self.method.start(PROBED_SIZE)
+        for result in run_clip(ResumeRun(self.method, given), clip, self.default_spp):
+            if result.state is not None and result.state is not given:
+                return True
+        return False
 
     def run(
         self, clip: Clip, spp: float | None = None, method: Method | None = None

@@ -34,7 +34,7 @@ FRAMES, QUICK_FRAMES = 4, 3
 EXPOSURES = (1e-4, 1e-2, 1e2, 1e4)  # factors on radiance
 CHANNELS = (1, 2, 0)  # red gets green, green blue, blue red
 SHIFTS = (0, 1, 5, 8, 15)  # pixels, along both axes; networks and autoexposure have tiles of 16
-MARGIN = 2  # pixels inside the border of each shifted crop that are not compared
+MARGIN = 8  # pixels at the border of each crop, which lack context and are not compared
 GREY = 0.5  # radiance and albedo of the constant clip
 WALL_DEPTH = 3.0  # metres
 SKY_RADIANCE = (0.5, 0.7, 1.0)
@@ -69,7 +69,7 @@ def run(stressed: StressedMethod, is_quick: bool) -> Iterator[CheckResult]:
     yield _judge_shifts(stressed, size, frames)
     yield _judge_sample_order(stressed, clip)
     yield from _judge_plain(stressed, clip)
-    if stressed.traits.temporal:
+    if stressed.keeps_state:
         size, after = (QUICK_SIZE, QUICK_AFTER) if is_quick else (EVENT_SIZE, AFTER)
         yield from _judge_flash(stressed, size, after)
         yield from _judge_teleports(stressed, size, after)
@@ -172,7 +172,7 @@ def _judge_symmetries(stressed: StressedMethod, clip: InMemoryClip) -> Iterator[
 def _judge_shifts(stressed: StressedMethod, size: Size, frames: int) -> CheckResult:
     """The spread of PSNR of one region in crops that begin at other pixels."""
     extent, (n, h, w) = max(SHIFTS), size
-    h += extent  # so that the region that all crops share is as high as `size`
+    h, w = (side + extent + 2 * MARGIN for side in (h, w))  # all crops share a region of `size`
     large_size = Size(n, h + extent, w + extent)
     large = procedural_clip(SEED, large_size, frames, device=stressed.device)
     crops = [[_crop(frame, shift, h, w) for frame in large] for shift in SHIFTS]

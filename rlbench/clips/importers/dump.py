@@ -8,10 +8,12 @@ from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 
+from rlbench.clips.exr import window_size
 from rlbench.clips.importers import limits
 from rlbench.clips.importers.dump_frame import (
     FrameFiles,
     count_samples,
+    find_overscan,
     has_image,
     image_size,
     read_frame,
@@ -106,10 +108,7 @@ def _add(files: Files, key: FileKey, rank: int, path: Path) -> None:
 
 
 def sequence_name(source: Path, clip: str) -> str:
-    """The name of a sequence: the words of what {clip} stands for, or the folder's.
-
-    Raises SourceError.
-    """
+    """The name of a sequence: the words of what {clip} stands for, or the folder's."""
     words = [part for word in clip.split("/") if (part := word.strip("_-. "))]
     return clip_name("-".join(words) or source.resolve().name)
 
@@ -126,12 +125,14 @@ def _sequence(
     numbers = select(f"clip '{name}'", rendered)
     found = _select(name, {number: numbered[number] for number in numbers}, layout)
     size = image_size(found.frames[numbers[0]], "radiance", layout)
+    window = None if layout.overscan == "cut" else find_overscan(found.frames.values(), layout)
+    shape = window_size(window) if window else size
     available = {n: _choose(numbered[n], layout) for n in rendered} if layout.moves_onward else {}
     sequence = ImportedSequence(
         name=name,
         sampler=f"{layout.renderer}, imported",
-        height=size[0],
-        width=size[1],
+        height=shape[0],
+        width=shape[1],
         numbers=numbers,
         first_number=min(rendered),
         counts=tuple(count_samples(found.frames[n], layout) for n in numbers),
@@ -141,8 +142,9 @@ def _sequence(
         files=tuple(path for files in found.frames.values() for path in files.paths),
         frame_files=tuple(tuple(found.frames[n].paths) for n in numbers),
         read=partial(
-            read_frame, {**available, **found.frames}, layout, size, source, min(rendered)
+            read_frame, {**available, **found.frames}, layout, size, source, min(rendered), window
         ),
+        window=window,
         fps=layout.frames_per_second,
         exposure=None if layout.exposure == "auto" else float(layout.exposure),
         convention=repr(layout),

@@ -43,14 +43,14 @@ def find_sequences(
     layout = ALIASES.get(layout, layout)
     if layout in FORMATS:
         module = importlib.import_module(FORMATS[layout])
-        clips = [add_stand_ins(clip) for clip in module.find_sequences(source, frames)]
+        found = _check(module.find_sequences(source, frames))
+        clips = [add_stand_ins(clip) for clip in found]
         expected = module.LAYOUT
     else:
         read = read_layout(layout, [*ready_layouts(), *FORMATS])
         read = replace(read, layer=layer or read.layer)
-        clips = [
-            add_sky_motion(clip, read, source) for clip in find_dump_sequences(source, read, frames)
-        ]
+        found = _check(find_dump_sequences(source, read, frames))
+        clips = [add_sky_motion(clip, read, source) for clip in found]
         expected = " or ".join(read.radiance.patterns)
     if not clips:
         if (source / FILE).is_file():
@@ -68,6 +68,13 @@ def find_sequences(
             f"{source} holds two clips named '{duplicates[0]}'; import their folders separately"
         )
     return sorted(clips, key=lambda sequence: sequence.name)
+
+
+def _check(clips: list[ImportedSequence]) -> list[ImportedSequence]:
+    """The same clips. Raises SourceError for one that is too large, before a pixel is read."""
+    for clip in clips:
+        limits.check_clip(clip.name, clip.files, clip.height, clip.width)
+    return clips
 
 
 def _find_near(source: Path, layout: str) -> Path | None:

@@ -12,9 +12,18 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import Image
 
-from rlbench.clips.exr import DeepImageError, ExrHeader, read_exr_parts, read_planes
+from rlbench.clips.exr import (
+    DeepImageError,
+    ExrHeader,
+    ExrHeaderError,
+    Window,
+    read_exr_parts,
+    read_planes,
+    window_size,
+)
 from rlbench.clips.importers.limits import check_size
 from rlbench.clips.importers.sequence import Pixels, SourceError
+from rlbench.clips.primaries import convert_to_rec709
 
 COMPOSITE = "Composite."  # Blender's layer of the compositor, which is read only where it is named
 
@@ -33,18 +42,17 @@ class Channels(NamedTuple):
 
 
 class ExrImage(NamedTuple):
-    """The pixels of a display window, of which the file may have only some, or others too."""
+    """The pixels of a window, of which the file may have only some, or others too."""
 
     pixels: Pixels  # h w c, in the precision of the file; of UINT channels float64
     empty: NDArray[np.bool_]  # h w 1, outside the data window
-    cut: int  # pixels of the data window outside the display window
+    cut: int  # pixels of the data window outside this window
+    header: ExrHeader
 
 
 def exr_size(path: Path, channels: Channels) -> tuple[int, int]:
     """Height and width of the image that has these channels, pixels. Raises SourceError."""
-    with _convert_errors(path):
-        header, _ = _find_channels(path, read_exr_parts(path), channels)
-        return check_size(path, *header.display_size)
+    return check_size(path, *find_channels(path, channels)[0].display_size)
 
 
 def read_exr(
@@ -54,16 +62,19 @@ def read_exr(
     return read_exr_image(path, Channels(alternatives, part), fill).pixels
 
 
-def read_exr_image(path: Path, channels: Channels, fill: float = 0.0) -> ExrImage:
-    """Channels of one part of an EXR: the display window, with `fill` where there are no data.
+def read_exr_image(
+    path: Path, channels: Channels, fill: float = 0.0, window: Window | None = None
+) -> ExrImage:
+    """Channels of one part of an EXR: a window of it, with `fill` where there are no data.
 
-    Raises SourceError where the file is broken, too large, deep, has no such channels, or no data
-    inside the display window.
+    The default is the display window. Raises SourceError where the file is broken, too large, deep,
+    has no such channels, or no data inside the window.
     """
     with _convert_errors(path):
         header, names = _find_channels(path, read_exr_parts(path), channels)
-        h, w = check_size(path, *header.display_size)
-        source, target = _overlap(path, header)
+        window = window or header.display_window
+        h, w = check_size(path, *window_size(window))
+        source, target = _overlap(path, header.data_window, window)
         planes = [
             plane.astype(np.float64) if plane.dtype.kind == "u" else plane
             for plane in read_planes(path, header, names)
@@ -72,10 +83,26 @@ def read_exr_image(path: Path, channels: Channels, fill: float = 0.0) -> ExrImag
         empty = np.ones((h, w, 1), bool)
         empty[target] = False
         pixels = data
-        if header.data_window != header.display_window:
+        if header.data_window != window:
             pixels = np.full((h, w, len(names)), fill, data.dtype)
             pixels[target] = data[source]
-        return ExrImage(pixels, empty, data[..., 0].size - int((~empty).sum()))
+        return ExrImage(pixels, empty, data[..., 0].size - int((~empty).sum()), header)
+
+
+def to_rec709(path: Path, pixels: Pixels, header: ExrHeader) -> tuple[Pixels, int]:
+    """Colours [h w 3] of a file with Rec. 709 primaries, and how many pixels these cannot show.
+
+    Pixels of another number of channels stay. Raises SourceError where the header does not say
+    which primaries its colours have.
+    """
+    try:
+        primaries = header.primaries if pixels.shape[-1] == 3 else None
+    except ExrHeaderError as error:
+        raise SourceError(f"{path}: {error}") from error
+    if primaries is None:
+        return pixels, 0
+    converted, outside = convert_to_rec709(pixels, primaries)
+    return converted, int(outside.sum())
 
 
 def find_channels(path: Path, channels: Channels) -> tuple[ExrHeader, list[str]]:
@@ -103,21 +130,22 @@ def list_channels(path: Path) -> dict[str, list[str]]:
         return {header.name: _full(header) for header in headers if not header.is_deep}
 
 
-def _overlap(path: Path, header: ExrHeader) -> tuple[tuple[slice, slice], tuple[slice, slice]]:
+def _overlap(
+    path: Path, data: Window, image: Window
+) -> tuple[tuple[slice, slice], tuple[slice, slice]]:
     """Rows and columns that both windows share: in the data, and in the image."""
-    data, display = header.data_window, header.display_window
-    x, y = max(data[0], display[0]), max(data[1], display[1])
-    x_end, y_end = min(data[2], display[2]) + 1, min(data[3], display[3]) + 1
+    x, y = max(data[0], image[0]), max(data[1], image[1])
+    x_end, y_end = min(data[2], image[2]) + 1, min(data[3], image[3]) + 1
     if x >= x_end or y >= y_end:
         raise SourceError(
             f"{path} has no pixel of its image: the data window {data} lies outside the display "
-            f"window {display}"
+            f"window {image}"
         )
 
     def window(left: int, top: int) -> tuple[slice, slice]:
         return slice(y - top, y_end - top), slice(x - left, x_end - left)
 
-    return window(*data[:2]), window(*display[:2])
+    return window(*data[:2]), window(*image[:2])
 
 
 def _find_channels(
@@ -165,9 +193,10 @@ def _locate(
 
 
 def _select_parts(headers: Sequence[ExrHeader], part: str) -> list[ExrHeader]:
-    """The parts with this name, or that match this pattern; all for an empty one."""
+    """The parts with this name, or that match this pattern, in any case; all for an empty one."""
     named = [header for header in headers if header.name == part]
-    return named or [each for each in headers if not part or fnmatchcase(each.name, part)]
+    matching = [each for each in headers if not part or fnmatchcase(each.name, part)]
+    return named or matching or [e for e in headers if fnmatchcase(e.name.lower(), part.lower())]
 
 
 def _find_channel(path: Path, header: ExrHeader, pattern: str) -> str | None:
@@ -180,6 +209,9 @@ def _find_channel(path: Path, header: ExrHeader, pattern: str) -> str | None:
     found = {name for name in names if name.upper() == letter}
     if not found:
         found = {name for alias, name in aliases.items() if fnmatchcase(alias, pattern)}
+    if not found:  # in any case
+        lower = pattern.lower()
+        found = {name for alias, name in aliases.items() if fnmatchcase(alias.lower(), lower)}
     if len(found) > 1:
         found = {name for name in found if not name.startswith(COMPOSITE)} or found
     if len(found) > 1:

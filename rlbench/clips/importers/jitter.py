@@ -121,9 +121,10 @@ def remove_jitter(sequence: ImportedSequence, layout: Layout, source: Path) -> I
 def _read_file(path: Path, name: str) -> Sequence[Offset]:
     """The offsets in a text file: x and y a line; # begins a comment. Raises SourceError."""
     if not path.is_file():
+        found = f"and {path} is a folder" if path.is_dir() else f"and there is no file {path}"
         raise SourceError(
-            f"[camera] jitter is '{name}', expected 'halton PERIOD', as in 'halton 16', or a file "
-            "of offsets below the dump, a line of x and y for each frame"
+            f"[camera] jitter is '{name}', {found}; expected 'halton PERIOD', as in 'halton 16', "
+            "or a file of offsets below the dump, a line of x and y for each frame"
         )
     if path.stat().st_size > MAX_FILE_BYTES:
         raise SourceError(f"{path} is too large for a file of offsets")

@@ -160,15 +160,17 @@ class Camera:
 
 @dataclass(frozen=True, kw_only=True)
 class Layout:
-    """A whole layout. `specular` and `emission` are added to radiance, and may be absent.
+    """A whole layout. Without `reference` nothing can be scored.
 
+    `specular` and `emission` are added to radiance, and may be absent.
     `missing_motion` replaces absent motion: zero, or optical flow of albedo. `exposure` is a factor
     or "auto". `frames_per_second` may be any number above 0. `layer` is read where a channel's
-    pattern matches several layers.
+    pattern matches several layers. Colours of other primaries become Rec. 709, unless
+    `chromaticities` keeps them. `overscan` are pixels outside the display window.
     """
 
     radiance: Radiance
-    reference: Reference
+    reference: Reference = Reference(files=(), optional=True)
     specular: Radiance | None = None
     emission: Image | None = None
     albedo: Albedo | None = None
@@ -181,6 +183,9 @@ class Layout:
     frames_per_second: float = 24.0
     renderer: str = "unknown"
     layer: str = ""
+    # not in repr, which tells one import from another
+    chromaticities: Literal["convert", "keep"] = dataclasses.field(default="convert", repr=False)
+    overscan: Literal["cut", "keep"] = dataclasses.field(default="cut", repr=False)
 
     @property
     def images(self) -> dict[str, Image]:
@@ -220,7 +225,7 @@ def read_layout(name_or_file: str, names: Sequence[str] = ()) -> Layout:
     path = ready.get(name_or_file, Path(name_or_file))
     if not path.is_file():
         names = names or list(ready)
-        problem = f"no layout '{name_or_file}', and no TOML file as rlbench lint --guess writes"
+        problem = f"no layout '{name_or_file}', and no such file; rlbench lint --guess writes one"
         raise SourceError(unknown_name(problem, name_or_file, sorted(names), "; there are"))
     try:
         document = read_toml(path)

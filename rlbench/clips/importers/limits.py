@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+from collections.abc import Sequence
 from pathlib import Path
 from typing import NoReturn
 
@@ -10,8 +11,11 @@ from rlbench.clips.header import MAX_PIXELS
 from rlbench.clips.importers.sequence import SourceError
 
 MAX_FILES = 1_000_000  # at and below one source folder
+MAX_IMAGE_PIXELS = 2**28  # 16384 x 16384
 MAX_SAMPLES = 64  # per pixel and frame
 MAX_ARRAY_BYTES = 2**31  # of one array, unpacked
+LARGE_IMAGE_BYTES = 2**29  # of one image, unpacked: 45 megapixels
+MAX_PACKING = 500  # times that the images of a clip are smaller on the disk, if they are large
 
 
 def list_files(root: Path) -> list[Path]:
@@ -48,8 +52,13 @@ def _refuse_folder(error: OSError) -> NoReturn:
 
 
 def check_inside(root: Path, path: Path) -> Path:
-    """`path`, if its links do not lead out of `root`. Raises SourceError."""
-    if path.is_symlink() and not path.resolve().is_relative_to(root.resolve()):
+    """`path`, if its links do not lead out of `root`, or to themselves. Raises SourceError."""
+    try:
+        target = path.resolve() if path.is_symlink() else path
+        path.exists()
+    except (OSError, RuntimeError) as error:  # Python 3.11 and older raise RuntimeError
+        raise SourceError(f"{path} is a link that leads to itself; remove it") from error
+    if path.is_symlink() and not target.is_relative_to(root.resolve()):
         raise SourceError(
             f"{path} is a link that leaves {root}, to {path.resolve()}; it is not followed. "
             "Copy its target into the source, or remove the link"
@@ -59,11 +68,30 @@ def check_inside(root: Path, path: Path) -> Path:
 
 def check_size(path: Path, height: int, width: int) -> tuple[int, int]:
     """The size that an image claims to have, if it is within the limits. Raises SourceError."""
-    if min(height, width) < 1 or height * width > MAX_PIXELS:
+    if min(height, width) < 1 or height * width > MAX_IMAGE_PIXELS:
         raise SourceError(
-            f"{path} claims to be {width} x {height} pixels; from 1 to {MAX_PIXELS} are read"
+            f"{path} claims to be {width} x {height} pixels; from 1 to {MAX_IMAGE_PIXELS} are read"
         )
     return height, width
+
+
+def check_clip(name: str, files: Sequence[Path], height: int, width: int) -> None:
+    """Raise SourceError for frames that are too large for a clip, or of next to no bytes.
+
+    These would fill the memory. Renders of that size, with noise, take a hundred times the bytes.
+    """
+    pixels = height * width
+    if pixels > MAX_PIXELS:
+        raise SourceError(
+            f"clip '{name}' has frames of {width} x {height}; a clip has up to {MAX_PIXELS} pixels"
+        )
+    packed = sum(path.stat().st_size for path in files)
+    unpacked = len(files) * pixels * 3 * 4
+    if pixels * 3 * 4 > LARGE_IMAGE_BYTES and unpacked > MAX_PACKING * packed:
+        raise SourceError(
+            f"clip '{name}': {len(files)} files of {packed} bytes claim {pixels} pixels each, "
+            f"{unpacked} bytes unpacked, so they are nearly constant; import smaller ones"
+        )
 
 
 def check_same_size(path: Path, size: tuple[int, int], expected: tuple[int, int]) -> None:

@@ -45,6 +45,11 @@ class Findings:
                 f"{images} images have overscan: {found['cut pixels']} pixels outside the display "
                 f"window are cut, {self.places['cut images']}"
             )
+        if images := found["outside images"]:
+            lines.append(
+                f"{images} images have colours outside Rec. 709: a channel of "
+                f"{found['outside pixels']} pixels became 0, {self.places['outside images']}"
+            )
         for kind, count in found.items():
             verb, _, name = kind.partition(" ")
             if verb == "broken":
@@ -65,7 +70,8 @@ def check_finite(clip: str, number: int, frame: ImportedFrame) -> None:
     buffers = {(name, 0): image for name, image in frame.gbuffer.items()}
     for (name, slot), image in (samples | halves | buffers).items():
         mask = nonfinite_mask(name, np.asarray(image))
-        if not mask.any() or (name == "reference" and is_no_reference(image)):
+        is_absent = name == "reference" and name not in frame.files and is_no_reference(image)
+        if is_absent or not mask.any():
             continue
         row, column = np.argwhere(mask)[0][:2]
         sources = (name, *ADDED) if name == "radiance" else (name, "albedo")

@@ -3,18 +3,22 @@
 from __future__ import annotations
 
 import re
+import unicodedata
 from collections.abc import Callable, Collection, Iterable, Mapping
 from dataclasses import dataclass
+from hashlib import sha256
 from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from rlbench.clips.header import LIMITS, is_plain_name
+from rlbench.clips.exr import Window
+from rlbench.clips.header import LIMITS
 from rlbench.errors import RlbenchError
 
 Pixels = NDArray[np.floating]
+MAX_CLIP_NAME = 80  # bytes, so that files that are named after a clip have room for more
 MAX_FRAMES = int(LIMITS["frames"].highest)
 
 
@@ -51,6 +55,7 @@ class ImportedSequence:
     limitations: tuple[str, ...]  # keys of `rlbench.clips.header.LIMITATIONS`
     files: tuple[Path, ...]  # all files that are read
     frame_files: tuple[tuple[Path, ...], ...] = ()  # of each frame of a dump; first its radiance
+    window: Window | None = None  # of the images, where it is not the display window
     read: Callable[[int, int], ImportedFrame]  # reads (frame number, samples per pixel)
     jitter: tuple[tuple[float, float], ...] = ()  # offset of the samples of each frame, pixels
     fps: float = 24.0  # frames per second
@@ -110,8 +115,18 @@ def check_complete(label: str, required: Collection[int], existing: Collection[i
 
 
 def clip_name(*parts: str) -> str:
-    """A clip name from names in the source, safe as a folder name. Raises SourceError."""
-    name = "-".join(part for part in parts if part)
-    if not re.fullmatch(r"\w[\w .+-]*", name) or not is_plain_name(name):
-        raise SourceError(f"'{name}' cannot be a clip's name; rename the files or their folder")
-    return name
+    """A clip name from names in the source, safe as a folder name, and another one for another.
+
+    Accents are composed. What else a name cannot have becomes a dash, and what is beyond 80 bytes
+    is cut; a hash at the end then tells such names apart.
+
+    >>> clip_name("hall", "night"), clip_name("render (1)"), clip_name("A&B")
+    ('hall-night', 'render -1-0e94', 'A-B-ea99')
+    """
+    given = unicodedata.normalize("NFC", "-".join(part for part in parts if part))
+    plain = re.sub(r"[^\w .+-]+", "-", given).encode()[:MAX_CLIP_NAME].decode(errors="ignore")
+    name = plain.strip("-.+ ") or "shot"
+    if given == name:
+        return name
+    digest = sha256(given.encode(errors="surrogateescape")).hexdigest()[:4]
+    return f"{name}-{digest}"

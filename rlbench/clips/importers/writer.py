@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from rlbench.clips.compatibility import compatibility_summary
-from rlbench.clips.exposure import area_luminance, exposure_from_areas
+from rlbench.clips.exposure import area_luminance, exposure_of_frames
 from rlbench.clips.frame_files import (
     exceeds_float,
     file_kinds,
@@ -67,7 +67,7 @@ def clip_header(sequence: ImportedSequence, samples: int | None, exposure: float
 def estimate_exposure(sequence: ImportedSequence, sanitize: bool = False) -> float:
     """The exposure for the references of up to 8 frames; that of the source, if it has one.
 
-    The rule is that of `rlbench render`. A black sequence has exposure 1. Raises SourceError
+    The rule is that of `rlbench render`, without frames in the dark. Raises SourceError
     for values that are not finite, unless they are to be repaired.
     """
     if sequence.exposure is not None:
@@ -75,8 +75,7 @@ def estimate_exposure(sequence: ImportedSequence, sanitize: bool = False) -> flo
     count = min(len(sequence.numbers), MAX_EXPOSURE_FRAMES)
     chosen = [sequence.numbers[round(i)] for i in np.linspace(0, len(sequence.numbers) - 1, count)]
     frames = (_read_valid(sequence, number, 1, sanitize) for number in chosen)
-    areas = np.stack([area_luminance(_clearest_image(frame)) for frame in frames])
-    return exposure_from_areas(areas) if areas.max() > 0 else 1.0
+    return exposure_of_frames(np.stack([area_luminance(_clearest_image(f)) for f in frames]))
 
 
 def _clearest_image(frame: ImportedFrame) -> Pixels:
@@ -143,7 +142,8 @@ def _read_valid(
 ) -> ImportedFrame:
     """A frame whose values are finite. Raises SourceError where they are not, or repairs them."""
     frame = sequence.read(number, samples)
-    if sanitize:
+    is_lost = "reference" in frame.files and is_no_reference(frame.half_a + frame.half_b)
+    if sanitize and not is_lost:  # nothing is left of a reference that is NaN everywhere
         return repair_frame(frame)
     check_finite(sequence.name, number, frame)
     return frame
@@ -167,6 +167,7 @@ def _claim(sequence: ImportedSequence, header: Header, folder: Path) -> None:
             f"{folder} is a link, to {folder.resolve()}, and no clip is written through one; "
             "remove it, or import into another --out"
         )
+    paths.remove_temporaries(folder)
     if stored_key == key:
         return
     if stored_key or any(folder.glob("*.exr")) or (folder / FILE).exists():

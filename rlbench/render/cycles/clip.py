@@ -18,11 +18,23 @@ import numpy as np
 from rlbench.clips.exposure import area_luminance, exposure_from_areas
 from rlbench.clips.header import write_header
 from rlbench.render.cycles.frames import CyclesJob, fastest_sample_s, read_radiance, render_frames
-from rlbench.render.cycles.process import CyclesParameters, ImageTask, image_seed
+from rlbench.render.cycles.process import (
+    CyclesParameters,
+    ImageTask,
+    export_job,
+    image_seed,
+    run_worker,
+)
 from rlbench.render.cycles.scene_file import open_blender_file
+from rlbench.render.gltf.document import FORMATS as GLTF
+from rlbench.render.gltf.read_scene import read_gltf
+from rlbench.render.jobs.job import Job
+from rlbench.render.mitsuba.open_tracer import open_tracer
+from rlbench.render.mitsuba.variant import select_variant
 from rlbench.render.presets import Preset
-from rlbench.render.scene import SceneError
-from rlbench.render.user.clip import UserSceneOptions, describe_job, plan_clip
+from rlbench.render.scene import Camera, SceneError
+from rlbench.render.user.clip import CameraPath, UserSceneOptions, describe_job, plan_clip
+from rlbench.render.user.sky import add_sky, radiance_of
 from rlbench.system import paths
 from rlbench.system.progress import LoggedProgress
 
@@ -41,6 +53,9 @@ def ensure_cycles(
     Raises SceneError if the scene cannot be rendered with these options, ClipError if `out` holds
     frames of another renderer, and CyclesError if Blender is missing or failed.
     """
+    if options.sky:
+        world = ("world", str(_white_sky(options.sky)))
+        options = replace(options, parameters=(*options.parameters, world), sky="")
     parameters = CyclesParameters.parse(options.parameters)
     if preset.radiance_cap < np.inf:
         raise SceneError(
@@ -55,10 +70,8 @@ def ensure_cycles(
         on_message(note)
     job = replace(job, scene=replace(job.scene, inspector=None))  # Mitsuba's way of looking at it
     if path.kind == "wander":
-        raise SceneError(
-            "--camera wander looks into the scene with Mitsuba, which does not read "
-            f"{options.file.name}. Use --camera orbit, or a JSON file of matrices"
-        )
+        scene = replace(job.scene, camera=_wander(options.file, path, job))
+        job = replace(job, scene=scene)
     if path.kind in ("orbit", "dolly"):
         if not scene_file.distance:
             raise SceneError(
@@ -73,6 +86,29 @@ def ensure_cycles(
     on_message(describe_job(job))
     _render(replace(cycles_job, job=job))
     return job.folder
+
+
+def _white_sky(sky: str) -> float:
+    """The radiance of a sky. Raises SceneError for any that is not white."""
+    radiance = radiance_of(sky)
+    if radiance is None:
+        raise SceneError(
+            f"--sky {sky}: Cycles takes a white sky alone, such as --sky 1. Make others in the file"
+        )
+    return radiance
+
+
+def _wander(file: Path, path: CameraPath, job: Job) -> Callable[[float], Camera]:
+    """The pinhole on a random path, which Mitsuba finds in the meshes that Blender exports."""
+    with TemporaryDirectory(prefix="rlbench-") as folder:
+        exported = file
+        if file.suffix.lower() not in GLTF:
+            exported = Path(folder, "meshes.glb")
+            for _ in run_worker(export_job(file, exported), Path(folder, "export.log")):
+                pass
+        select_variant()
+        scene = add_sky(read_gltf(exported).scene, "1")
+        return path.choose_camera(open_tracer(scene, *job.preset.size), job.preset.frames)
 
 
 def _estimate_exposure(cycles_job: CyclesJob) -> float:

@@ -167,6 +167,11 @@ def wander_job(
     return job | {"wander": {"seed": seed, "fov": fov, "moves": moves}}
 
 
+def export_job(file: Path, meshes: Path) -> dict[str, Any]:
+    """A job that renders nothing and exports the meshes of a scene file to a GLB file."""
+    return inspect_job(file, 0, None, CyclesParameters()) | {"export": str(meshes.absolute())}
+
+
 def convert_axes(matrix: Float[Array, "4 4"]) -> Float[Array, "4 4"]:
     """A camera-to-world matrix in Blender's convention from Mitsuba's, or the reverse."""
     return np.asarray(matrix * np.array([-1.0, 1.0, -1.0, 1.0]))

@@ -122,7 +122,11 @@ def main(arguments: Sequence[str] | None = None) -> None:
     parser.add_argument("--spp", type=int, default=1000)
     options = parser.parse_args(arguments)
     names = options.scenes.split(",")
-    columns = (TextColumn("{task.description:>10}"), BarColumn(), TaskProgressColumn())
+    columns = (
+        TextColumn("{task.description:>10}", markup=False),
+        BarColumn(),
+        TaskProgressColumn(),
+    )
     with LoggedProgress(*columns, TimeRemainingColumn()) as bar:
         task = bar.add_task("", total=len(names) * options.spp)
 

@@ -29,7 +29,7 @@ from rlbench.render.mitsuba.tracer import Tracer
 from rlbench.render.mitsuba.variant import select_variant
 from rlbench.render.presets import Preset
 from rlbench.render.scene import Scene
-from rlbench.system import paths
+from rlbench.system import load, paths
 from rlbench.system.provenance import machine
 
 FRAME_POOLS = ("path",)  # pools that are traced with each frame; others are added to finished clips
@@ -147,6 +147,7 @@ class Job:
         Raises ClipError if the folder holds frames without any key, which `rlbench render` did not
         write and must not delete.
         """
+        paths.remove_temporaries(self.folder)
         files = [self.folder / FILE, *self.folder.glob("*.exr"), *self.folder.glob(SPP_FILES)]
         existing = [file for file in files if file.is_file()]
         if read_content_key(self.folder) == self.content_key:
@@ -236,8 +237,8 @@ def save_frame(job: Job, index: int, frame: FrameBuffers) -> None:
 class TraceTimes(NamedTuple):
     """Milliseconds of a full frame at one sample per pixel, and of a G-buffer."""
 
-    sample_p5_ms: float
-    sample_ms: float  # the median
+    sample_p5_ms: float  # on a busy machine, the low end of an estimate
+    sample_ms: float  # the median; on a busy machine an estimate, see `rlbench.system.load`
     sample_p95_ms: float
     gbuffer_ms: float  # of the four standard buffers
     timed_with: str  # tracer variant and threads
@@ -248,8 +249,14 @@ class TraceTimes(NamedTuple):
 
 
 def measure_trace_times(tracer: Tracer) -> TraceTimes:
-    """The times of a tracer on this machine; the machine must be idle."""
+    """The times of a tracer on this machine; on a busy one, estimates with a wide interval."""
+    ran, waited = load.processor_ms(), load.waiting_ms()
     times = tracer.measure_ms(lambda: tracer.trace_images(1, "pilot"), REPEATS)
     gbuffers = tracer.measure_ms(lambda: render_gbuffer(tracer), GBUFFER_REPEATS)
-    p5, p50, p95 = np.percentile(times, [5, 50, 95]).tolist()
-    return TraceTimes(p5, p50, p95, float(np.median(gbuffers)), describe_tracer())
+    share = load.running_share(load.processor_ms() - ran, load.waiting_ms() - waited)
+    low, ms, high = np.percentile(times, [5, 50, 95]).tolist()
+    gbuffer_ms = float(np.median(gbuffers))
+    if share < load.MIN_PROCESSOR_SHARE:  # false for nan
+        ms, low, _ = load.estimate_quiet_ms(times, share)
+        gbuffer_ms = load.estimate_quiet_ms(gbuffers, share).ms
+    return TraceTimes(low, ms, high, gbuffer_ms, describe_tracer())

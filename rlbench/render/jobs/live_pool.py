@@ -21,7 +21,7 @@ from rlbench.clips.stored import StoredClip, sample_order
 from rlbench.frames import Frame, Samples, Size
 from rlbench.render.fingerprint import fingerprint
 from rlbench.render.jobs.job import FRAME_POOLS, read_content_key
-from rlbench.render.jobs.render_clips import scene_of_clip
+from rlbench.render.jobs.render_clips import scene_of_header
 from rlbench.render.mitsuba.open_tracer import open_tracer
 from rlbench.render.mitsuba.tracer import MAX_PATHS, Tracer
 from rlbench.render.mitsuba.variant import select_variant
@@ -135,7 +135,7 @@ def scene_of_folder(folder: Path) -> Scene:
     error = f"clip {folder} cannot be sampled live"
     if not (key := read_content_key(folder)):
         raise ClipError(f"{error}: `rlbench render` did not write it. Use --pool stored")
-    scene = scene_of_clip(header.name)
+    scene = scene_of_header(header)
     current, rendered = fingerprint(scene, header.frames), key.split()[0]
     if current != rendered:
         raise ClipError(

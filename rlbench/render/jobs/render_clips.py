@@ -39,6 +39,7 @@ from rlbench.render.mitsuba.tracer import Tracer
 from rlbench.render.mitsuba.variant import select_variant
 from rlbench.render.presets import Preset
 from rlbench.render.scene import Scene, SceneError
+from rlbench.render.windows import show_window
 from rlbench.system import paths
 from rlbench.system.progress import LoggedProgress, format_duration
 from rlbench.system.provenance import machine
@@ -80,7 +81,8 @@ def preset_jobs(
     folder = folder or paths.clips_folder() / preset.name
     scene_of: dict[str, Scene] = {}
     for name in selected_names(preset, scenes, seeds):
-        scene_of |= _select_takes(name, preset)
+        takes = _select_takes(name, preset)
+        scene_of |= {clip: show_clip(scene, clip, preset) for clip, scene in takes.items()}
     _check_complete(scene_of, preset)
     return [Job(name, scene, preset, folder / name) for name, scene in scene_of.items()]
 
@@ -149,6 +151,19 @@ def scene_of_clip(clip: str) -> Scene:
     else:
         scene = plugin() if is_main else plugin().select_take(suffix)
     return scene
+
+
+def scene_of_header(header: Header) -> Scene:
+    """The scene of a rendered clip, as its preset shows it. Raises as `scene_of_clip`."""
+    scene, preset = scene_of_clip(header.name), presets.preset_of_clip(header.preset)
+    return show_clip(scene, header.name, preset) if preset else scene
+
+
+def show_clip(scene: Scene, clip: str, preset: Preset) -> Scene:
+    """The scene of a clip as a preset shows it: at its speed, or through a window."""
+    if preset.windows:
+        return show_window(scene, clip, preset.frames)
+    return scene.at_speed(preset.speed(clip))
 
 
 def render_clip(
@@ -240,7 +255,11 @@ def _make_header(job: Job, tracer: Tracer) -> Header:
 
 def progress_bar(executor: Executor) -> LoggedProgress:
     """A progress bar on standard error."""
-    columns = (TextColumn("{task.description:>16}"), BarColumn(), TaskProgressColumn())
+    columns = (
+        TextColumn("{task.description:>16}", markup=False),
+        BarColumn(),
+        TaskProgressColumn(),
+    )
     window = SPEED_WINDOW_S if executor.exclusive else PARALLEL_SPEED_WINDOW_S
     return LoggedProgress(*columns, TimeRemainingColumn(), speed_estimate_period=window)
 
@@ -254,15 +273,17 @@ def render_preset_clips(
     executor: Executor | None = None,
     pool_kinds: Collection[str] | None = None,
     takes: str | None = None,
+    size: tuple[int, int] | None = None,
 ) -> list[Path]:
     """The clip folders of a preset, after rendering the missing frames.
 
-    `radiance_cap` and extra G-buffer `buffers` select a variant of the preset, in folders of its
-    own. `scenes`, seeds of generated scenes, and `takes` (main or all) replace those of the preset.
-    Of its sample pools only the given kinds are rendered; default all. Raises UnknownPresetError
-    and OptionError for an unknown preset or scene, and PresetError for other values.
+    `size` in pixels (height, width), `radiance_cap` and extra G-buffer `buffers` select a variant
+    of the preset, in folders of its own. `scenes`, seeds of generated scenes, and `takes` (main or
+    all) replace those of the preset. Of its sample pools only the given kinds are rendered; default
+    all. Raises UnknownPresetError and OptionError for an unknown preset or scene, and PresetError
+    for other values.
     """
-    selected = presets.get_preset(preset)
+    selected = presets.get_preset(preset, size)
     installed = registry.list_plugins("scenes")
     for name in scenes or ():
         if not {name, name.rpartition("-")[0]} & set(installed):
@@ -294,7 +315,7 @@ def remeasure_sample_ms(folder: Path) -> Header:
             "measured` times samples on this machine"
         )
     size = header.height, header.width
-    tracer = open_tracer(scene_of_clip(header.name).inspect(header.frames, size), *size)
+    tracer = open_tracer(scene_of_header(header).inspect(header.frames, size), *size)
     times = measure_trace_times(tracer)
     ratio = times.sample_ms / header.sample_ms if header.sample_ms > 0 else math.nan
     others = (ms * ratio for ms in header.pools_ms[1:])  # the path tracer's pool comes first

@@ -13,8 +13,8 @@ from jaxtyping import Float, Int
 from numpy import ndarray as Array
 
 from rlbench.errors import RlbenchError
-from rlbench.render.mitsuba import xml_scene
-from rlbench.render.scene import Camera, Mesh, MitsubaDict, Pose, Scene
+from rlbench.render.mitsuba import mesh_texture, xml_scene
+from rlbench.render.scene import Mesh, MitsubaDict, Pose, Scene, Window
 
 ALIGNMENT = 64  # bytes; Dr.Jit compiles another kernel for unaligned input
 STRENGTH_PARAMETERS = (
@@ -37,6 +37,7 @@ def instantiate(description: MitsubaDict) -> Any:
     """The Mitsuba object of a scene dict; numpy arrays may stand for bitmaps and 4x4 transforms."""
     import mitsuba as mi
 
+    mesh_texture.register()
     return mi.load_dict(_to_mitsuba(description), optimize=False)
 
 
@@ -90,7 +91,8 @@ def pinhole_vectors(pose: Pose, height: int, width: int) -> tuple[Any, Any, Any,
 
     right, down, forward = pose.camera_axes()
     across, along = right * pose.tangent_per_pixel(width), down * pose.tangent_per_pixel(width)
-    corner = forward - across * width / 2 - along * height / 2
+    x, y = pose.film_centre(height, width)
+    corner = forward - across * x - along * y
 
     def opaque(vector: Array) -> Any:
         return mi.Vector3f([dr.opaque(mi.Float, float(v)) for v in vector])
@@ -99,11 +101,14 @@ def pinhole_vectors(pose: Pose, height: int, width: int) -> tuple[Any, Any, Any,
     return opaque(origin), opaque(corner), opaque(across), opaque(along)
 
 
-def make_sensor(camera: Camera, height: int, width: int) -> Any:
+def make_sensor(pose: Pose, height: int, width: int) -> Any:
     """The same pinhole as a Mitsuba sensor, for the scalar variant."""
     import mitsuba as mi
 
-    film = {"type": "hdrfilm", "height": height, "width": width, "rfilter": {"type": "box"}}
+    camera, window = pose.camera, pose.window or Window(height, width, 0, 0)
+    film = {"type": "hdrfilm", "height": window.height, "width": window.width}
+    crop = {"crop_offset_x": window.left, "crop_offset_y": window.top}
+    film |= crop | {"crop_width": width, "crop_height": height, "rfilter": {"type": "box"}}
     pixels = {"pixel_format": "rgb", "component_format": "float32"}
     look_at = [[float(v) for v in p] for p in (camera.origin, camera.target, camera.up)]
     return mi.load_dict(
@@ -133,7 +138,7 @@ def _make_mesh(mesh: Mesh) -> Any:
         len(mesh.vertices),
         len(mesh.faces),
         properties,
-        has_vertex_normals=mesh.smooth,
+        has_vertex_normals=mesh.smooth or mesh.normals is not None,
         has_vertex_texcoords=mesh.uv is not None,
     )
     shape.set_id(mesh.name)
@@ -143,9 +148,14 @@ def _make_mesh(mesh: Mesh) -> Any:
     if mesh.uv is not None:
         _assign(parameters, "vertex_texcoords", mesh.uv)
     parameters.update()
-    if mesh.smooth:
-        _assign(parameters, "vertex_normals", smooth_normals(mesh.vertices, mesh.faces))
+    normals = mesh.normals
+    if normals is None and mesh.smooth:
+        normals = smooth_normals(mesh.vertices, mesh.faces)
+    if normals is not None:
+        _assign(parameters, "vertex_normals", _normalize(normals))
         parameters.update()
+    for name, values in mesh.attributes.items():
+        shape.add_attribute(name, values.shape[1], values.ravel().tolist())
     return shape
 
 
@@ -165,7 +175,7 @@ def _assign(parameters: Any, name: str, values: Array) -> None:
 
 
 def _to_mitsuba(value: Any, name: str = "") -> Any:
-    """`value` with arrays converted: those named `data` to tensors, 4x4 arrays to transforms."""
+    """`value` with its arrays: `data` as tensor, `bitmap` as bitmap, matrices as transforms."""
     import mitsuba as mi
 
     if isinstance(value, Mapping):
@@ -174,6 +184,10 @@ def _to_mitsuba(value: Any, name: str = "") -> Any:
         return value
     if name == "data":
         return mi.TensorXf(np.ascontiguousarray(value, np.float32))
+    if name == "bitmap":
+        return mi.Bitmap(np.array(value, order="C"))
+    if value.shape == (3, 3):
+        return mi.ScalarTransform3f(value.astype(float))
     if value.shape == (4, 4):
         return mi.ScalarTransform4f(value.astype(float))
     return value.astype(float).tolist()

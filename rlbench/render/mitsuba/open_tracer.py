@@ -158,7 +158,7 @@ class ScalarTracer(Tracer):
         return {mesh.name: index for index, mesh in enumerate(self.scene.meshes)}
 
     def _update_camera(self) -> None:
-        self._sensor = load.make_sensor(self.pose.camera, self.height, self.width)
+        self._sensor = load.make_sensor(self.pose, self.height, self.width)
 
     def _launch(self, first: int, count: int, stream: str) -> Float[Array, "count h w 3"]:
         images = [self._render(first + s, 1, stream) for s in range(count)]

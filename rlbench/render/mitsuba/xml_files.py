@@ -104,6 +104,56 @@ def find_files(state: Any) -> tuple[list[Path], list[tuple[int, str]]]:
     return files, missing
 
 
+def find_other_case(state: Any) -> list[str]:
+    """Correct names of files whose case or slashes differ from those on the disk; a note."""
+    corrected = []
+    for index, name in find_files(state)[1]:
+        folders = [Path(str(folder)) for folder in file_resolver()]
+        found = next(filter(None, (_near_file(folder, name) for folder in folders)), None)
+        if found:
+            props = state.nodes[index].props
+            key = next(k for k, v in peek(state.nodes[index]).items() if v == name)
+            props[key] = str(found)
+            corrected.append(name)
+    names = ", ".join(corrected[:SHOWN]) + ", ..." * (len(corrected) > SHOWN)
+    return [f"files are found by names of other case or slashes: {names}"] if corrected else []
+
+
+def _near_file(folder: Path, name: str) -> Path | None:
+    """The file below a folder whose path differs in case and slashes alone, or None."""
+    path = folder
+    for part in name.replace("\\", "/").split("/"):
+        if part in ("", ".", ".."):
+            path = path / part
+            continue
+        if not path.is_dir():
+            return None
+        fitting = (entry for entry in sorted(path.iterdir()) if entry.name.lower() == part.lower())
+        path = path / part if (path / part).exists() else next(fitting, path / part)
+    return path if path.is_file() else None
+
+
+def find_broken_shape(state: Any, message: str) -> int | None:
+    """The position of the shape that Mitsuba's error is about, or None."""
+    import mitsuba as mi
+
+    if "shape plugin" not in message:
+        return None
+    places = [
+        (position, place)
+        for position, node in enumerate(state.nodes)
+        if node.type == mi.ObjectType.Shape
+        and (place := re.search(r"\(line \d+, col \d+\)", location(state, node)))
+    ]
+    return next((position for position, place in places if place[0] in message), None)
+
+
+def remove_node(state: Any, index: int) -> None:
+    """Take all references to a node away."""
+    for parent, key in parents(state, index):
+        del state.nodes[parent].props[key]
+
+
 def refuse_missing_files(state: Any) -> None:
     """Raise SceneError, which lists all missing files, if there are any."""
     missing = [(name, state.nodes[index]) for index, name in find_files(state)[1]]
@@ -131,8 +181,7 @@ def replace_missing_files(state: Any) -> MissingFiles:
         if node.type == mi.ObjectType.Shape:
             is_lamp = any(n.type == mi.ObjectType.Emitter for _, n in children(state, node))
             kind = "lights left out" if is_lamp else "shapes left out"
-            for parent, key in parents(state, index):
-                del state.nodes[parent].props[key]
+            remove_node(state, index)
             del node.props["filename"]
         elif node.type == mi.ObjectType.Texture:
             kind = _replace_texture(state, index)

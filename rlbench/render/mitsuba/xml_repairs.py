@@ -16,7 +16,7 @@ import numpy as np
 from jaxtyping import Float
 from numpy import ndarray as Array
 
-from rlbench.render.mitsuba.xml_files import add_node, line, peek
+from rlbench.render.mitsuba.xml_files import SURFACE_MAPS, add_node, line, peek
 
 COLOR = re.compile(r"<(s?rgb)\b([^<>]*?)\bvalue\s*=\s*([\"'])\s*([^\"']*?)\s*\3")
 OUTSIDE = {"vacuum": 1.0, "air": 1.0, "water": 1.333}  # index of refraction, by Mitsuba 0.6's names
@@ -77,6 +77,8 @@ def repair_nodes(state: Any) -> Notes:
             found = [f"BSDF {plugin} is rendered as {_split_lobes(state, index)}"]
         elif plugin == "bitmap":
             found = _repair_bitmap(node)
+        elif plugin in SURFACE_MAPS and "filename" in node.props:
+            found = _move_file(state, index)
         elif plugin in ("conductor", "roughconductor"):
             found = _divide_by_outside(node)
         else:
@@ -148,6 +150,20 @@ def _repair_bitmap(node: Any) -> list[str]:
     if found.get("gamma") == 1.0:
         props["raw"] = True
         del props["gamma"]
+    return []
+
+
+def _move_file(state: Any, index: int) -> list[str]:
+    """Make the file of a bump or normal map that of a texture within."""
+    import mitsuba as mi
+
+    plugin, name = state.nodes[index].props.plugin_name(), peek(state.nodes[index])["filename"]
+    texture = mi.Properties("bitmap")
+    texture["filename"], texture["raw"] = name, True
+    reference = add_node(state, index, texture)
+    state.nodes[reference.index()].type = mi.ObjectType.Texture
+    del state.nodes[index].props["filename"]
+    state.nodes[index].props["normalmap" if plugin == "normalmap" else "texture"] = reference
     return []
 
 

@@ -10,11 +10,12 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from rlbench.render.mitsuba import xml_files, xml_repairs
+from rlbench.render.mitsuba import xml_files, xml_repairs, xml_text
 from rlbench.render.mitsuba.xml_files import children, file_resolver
 from rlbench.render.scene import Mesh, SceneError, XmlFile
 
 MAX_DEPTH = 8  # longest light path, in edges, if the file has no integrator
+MAX_SIDE = 2**16  # pixels of a film
 PATH_INTEGRATORS = ("path", "direct")  # integrators that trace the same light paths as rlbench
 FILM = {"width": 768, "height": 576}  # pixels, Mitsuba's default
 REPAIRS_VERSION = 1  # raised whenever `xml_repairs` changes what is rendered
@@ -59,7 +60,7 @@ def read_settings(xml_file: XmlFile) -> XmlSettings:
         xml_files.refuse_attribute_emitters(state)
         camera_to_world, fov, aspect = _read_sensor(state, notes)
         max_depth = _read_max_depth(state, notes)
-        content = f"{xml_file.parameters} {missing_files} {REPAIRS_VERSION}"
+        content = f"{xml_file.parameters} {missing_files} {REPAIRS_VERSION}{xml_file.sky}"
         digest = hashlib.blake2b(content.encode(), digest_size=16)
         for file in (xml_file.path, *files):
             digest.update(hashlib.blake2b(file.read_bytes()).digest())
@@ -74,21 +75,39 @@ def build_scene(xml_file: XmlFile, merge: bool) -> Any:
     With `merge`, meshes that share a BSDF become one, which is faster but loses their ids.
     """
     import mitsuba as mi
-    from mitsuba import parser
 
+    kinds = ("Sensor", "Integrator", "Sampler", "Film", "ReconstructionFilter")
+    replaced = [getattr(mi.ObjectType, kind) for kind in kinds]
     with _parse(xml_file, merge) as (config, state, *_):
         for node in (n for n in state.nodes if n.props.plugin_name() in ("scene", "merge")):
             for name, child in children(state, node):
-                if child.type in (mi.ObjectType.Sensor, mi.ObjectType.Integrator):
+                if child.type in replaced:
                     del node.props[name]
         level = mi.log_level()
         if any(map(xml_repairs.is_night, state.nodes)):  # a note says so, once
             mi.set_log_level(mi.LogLevel.Error)
         try:
-            scene = parser.instantiate(config, state)
+            scene = _instantiate(config, state, xml_file.skip_missing)
         finally:
             mi.set_log_level(level)
         return scene[0] if isinstance(scene, list) else scene
+
+
+def _instantiate(config: Any, state: Any, skip_broken: bool) -> Any:
+    """The scene of parsed nodes; with `skip_broken`, without meshes that cannot be read."""
+    import mitsuba as mi
+    from mitsuba import parser
+
+    while True:
+        try:
+            return parser.instantiate(config, state)
+        except RuntimeError as error:
+            index = xml_files.find_broken_shape(state, str(error)) if skip_broken else None
+            if index is None:
+                raise
+            log: Any = mi.Log
+            log(mi.LogLevel.Warn, f"a shape is left out, because it cannot be read: {error}")
+            xml_files.remove_node(state, index)
 
 
 def named_meshes(xml_file: XmlFile) -> dict[str, Mesh]:
@@ -129,10 +148,10 @@ def _parse(xml_file: XmlFile, merge: bool) -> Iterator[_ParsedFile]:
     resolver.prepend(str(path.resolve().parent))
     config = parser.ParserConfig(str(mi.variant()))
     config.merge_equivalent = config.merge_meshes = merge
+    config.unused_properties = mi.LogLevel.Warn  # properties that no plugin reads, by name and line
     try:
         original = path.read_text("utf-8", errors="replace")
-        text, notes = xml_repairs.repair_text(original)
-        parameters = dict(xml_file.parameters)
+        text, parameters, notes = _repair_text(original, xml_file)
         if text == original:
             state = parser.parse_file(config, str(path), **parameters)
         else:
@@ -141,6 +160,7 @@ def _parse(xml_file: XmlFile, merge: bool) -> Iterator[_ParsedFile]:
         parser.transform_upgrade(config, state)
         parser.transform_resolve(config, state)
         notes += xml_repairs.describe_repairs(xml_repairs.repair_nodes(state))
+        notes += xml_files.find_other_case(state)
         missing: xml_files.MissingFiles = {}
         if xml_file.skip_missing:
             missing = xml_files.replace_missing_files(state)
@@ -160,6 +180,17 @@ def _parse(xml_file: XmlFile, merge: bool) -> Iterator[_ParsedFile]:
             resolver.append(folder)
 
 
+def _repair_text(original: str, xml_file: XmlFile) -> tuple[str, dict[str, str], list[str]]:
+    """The text of a file with its added sky, after repairs; its parameters; and notes."""
+    given = dict(xml_file.parameters)
+    head, end, rest = original.rpartition("</scene>")
+    text = f"{head}{xml_file.sky}{end}{rest}" if xml_file.sky else original
+    text, notes = xml_text.repair_syntax(text)
+    text, more = xml_repairs.repair_text(text)
+    replaced, unset = xml_text.find_replaced(text, given)
+    return text, replaced | given, [*notes, *more, *unset]
+
+
 def _read_max_depth(state: Any, notes: list[str]) -> int:
     """The maximum depth of the path integrator, or of the first integrator."""
     import mitsuba as mi
@@ -174,7 +205,29 @@ def _read_max_depth(state: Any, notes: list[str]) -> int:
         notes.append(f"integrator {plugin} is replaced by path")
     if node.props.get("hide_emitters", False):
         notes.append("hide_emitters is ignored: emitters are visible")
-    return 2 if plugin == "direct" else int(node.props.get("max_depth", -1))
+    return 2 if plugin == "direct" else _read_integer(node, "max_depth", -1, (-1, 2**31 - 1))
+
+
+def _read_integer(node: Any, name: str, default: int, limits: tuple[int, int]) -> int:
+    """A whole number of a plugin, within limits. Raises SceneError."""
+    value = node.props.get(name, default) if node else default
+    if type(value) is not int or not limits[0] <= value <= limits[1]:
+        raise SceneError(
+            f"{name} of {node.props.plugin_name()} is {value!r:.40}, expected an integer from "
+            f"{limits[0]} to {limits[1]}"
+        )
+    return value
+
+
+def _read_to_world(node: Any) -> np.ndarray:
+    """The matrix of a sensor. Raises SceneError for anything else than a transform."""
+    to_world = node.props.get("to_world", None)
+    if to_world is None:
+        return np.eye(4)
+    matrix = np.array(getattr(to_world, "matrix", np.nan), np.float64)
+    if matrix.shape != (4, 4) or not np.isfinite(matrix).all():
+        raise SceneError(f"to_world of the sensor is {to_world!r:.80}, expected a transform")
+    return matrix
 
 
 def _read_sensor(state: Any, notes: list[str]) -> tuple[np.ndarray | None, float, float]:
@@ -191,11 +244,12 @@ def _read_sensor(state: Any, notes: list[str]) -> tuple[np.ndarray | None, float
     if node.props.plugin_name() == "thinlens":
         notes.append("thinlens is rendered as a pinhole, without depth of field")
     film = next((n for _, n in children(state, node) if n.type == mi.ObjectType.Film), None)
-    width, height = (int(film.props.get(k, d)) if film else d for k, d in FILM.items())
+    width, height = (_read_integer(film, name, size, (1, MAX_SIDE)) for name, size in FILM.items())
     lens = {k: node.props[k] for k in ("fov", "fov_axis", "focal_length") if k in node.props}
     size = {"type": "hdrfilm", "width": width, "height": height}
-    sensor = mi.load_dict({"type": "perspective", **lens, "film": size})  # converts to x_fov
+    try:
+        sensor = mi.load_dict({"type": "perspective", **lens, "film": size})  # converts to x_fov
+    except (RuntimeError, TypeError, ValueError) as error:
+        raise SceneError(f"the sensor cannot be read: {error}") from error
     fov = float(np.array(mi.traverse(sensor)["x_fov"]).reshape(-1)[0])
-    to_world = node.props.get("to_world", None)
-    matrix = np.eye(4) if to_world is None else np.array(to_world.matrix, np.float64)
-    return matrix, fov, width / height
+    return _read_to_world(node), fov, width / height

@@ -43,7 +43,9 @@ def estimate_exposure(tracer: Tracer, frames: int) -> float:
     Raises SceneError for a frame without any visible surface, or without light.
     """
     if not tracer.mi_scene.emitters():
-        raise SceneError("the scene has no light, so all images would be black. Add an emitter")
+        raise SceneError(
+            "the scene has no light, so all images would be black. Add an emitter, or --sky 1"
+        )
     areas, has_surface = [], False
     with mitsuba_errors():
         for index in range(frames):

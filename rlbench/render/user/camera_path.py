@@ -22,6 +22,8 @@ ORBIT_STEP = np.radians(0.5)  # radians per frame
 DOLLY_STEP = 0.02  # fraction of the remaining distance per frame
 RIGID_TOLERANCE = 1e-3  # deviation of the axes' dot products from those of a rotation
 
+NEARLY_RIGID = 2e-2  # the same for axes that are 1 % too long
+
 MatrixPath = Callable[[float], Float[Array, "4 4"]]  # camera-to-world at a time, in frames
 
 
@@ -79,6 +81,27 @@ def check_rigid(matrix: object, source: str) -> Float[Array, "4 4"]:
             "left: negate the first column"
         )
     return checked
+
+
+def straighten(matrix: Float[Array, "4 4"]) -> tuple[Float[Array, "4 4"], list[str]]:
+    """A sensor's matrix, if it is rigid to 1 %, as the nearest rigid one, and notes.
+
+    A mirrored one is turned back: the image is not mirrored. Others are returned as they are.
+    """
+    axes = matrix[:3, :3].copy()
+    notes: list[str] = []
+    if abs(axes.T @ axes - np.eye(3)).max() > NEARLY_RIGID:
+        return matrix, notes
+    if np.linalg.det(axes) < 0:
+        axes[:, 0] *= -1
+        notes.append("the sensor mirrors the image; it is rendered without")
+    left, _, right = np.linalg.svd(axes)
+    straight = matrix.copy()
+    if abs(axes.T @ axes - np.eye(3)).max() > RIGID_TOLERANCE:
+        axes = left @ right
+        notes.append("the sensor's matrix is rigid to 1 % alone; the nearest rotation is used")
+    straight[:3, :3] = axes
+    return straight, notes
 
 
 def camera_from_matrix(matrix: Float[Array, "4 4"], fov: float) -> Camera:

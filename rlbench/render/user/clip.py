@@ -10,6 +10,7 @@ from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 
+import numpy as np
 from jaxtyping import Float
 from numpy import ndarray as Array
 
@@ -23,7 +24,8 @@ from rlbench.render.presets import Preset
 from rlbench.render.scene import Camera, Scene, SceneError
 from rlbench.render.user import auto_exposure, camera_path
 from rlbench.render.user.scene_file import UserScene, open_scene_file
-from rlbench.render.user.wander import WANDER_VERSION, wander
+from rlbench.render.user.sky import add_sky, describe_sky
+from rlbench.render.user.wander import WANDER_VERSION, find_view, wander
 from rlbench.system import paths
 
 FOLDER = "own-"  # prefix of the preset's folder in the cache
@@ -43,6 +45,7 @@ class UserSceneOptions:
     parameters: tuple[tuple[str, str], ...] = ()  # values for an XML file's <default> names
     out: Path | None = None  # the clip folder; default one in the cache
     seed: int | None = None  # of a random path, for `wander` alone
+    sky: str = ""  # added to the scene: a radiance, white, sun, or the file of a map
     skip_missing: bool = False  # leave out shapes and textures whose files do not exist?
 
 
@@ -54,6 +57,7 @@ class CameraPath:
     matrices: tuple[Float[Array, "4 4"], ...] = ()
     fov: float = 60.0  # horizontal, degrees
     seed: int = 0  # of wander
+    has_start: bool = True  # or does wander look for a first view, as the file has no camera?
 
     @property
     def is_static(self) -> bool:
@@ -86,7 +90,8 @@ class CameraPath:
         """The pinhole on a path that depends on the surfaces in view."""
         if self.kind != "wander":
             return self.move_around(auto_exposure.measure_distance(tracer), frames)
-        matrices = wander(tracer, self.matrices[0], self.fov, frames, self.seed)
+        start = self.matrices[0] if self.has_start else find_view(tracer, self.fov)
+        matrices = wander(tracer, start, self.fov, frames, self.seed)
         return self.camera_at_time(camera_path.follow_matrices(matrices))
 
 
@@ -158,11 +163,13 @@ def _choose_path(options: UserSceneOptions, user_scene: UserScene) -> CameraPath
     kind = options.camera or ("own" if user_scene.animates_camera else "orbit")
     if options.seed is not None and kind != "wander":
         raise SceneError(f"--seeds draws random paths, and --camera is {kind}. Use --camera wander")
-    if kind == "own":
+    if kind == "own" and user_scene.animates_camera:
         return CameraPath(kind)
+    kind = "still" if kind == "own" else kind
     if kind in ("still", *MOVING):
-        matrices = (user_scene.sensor_matrix(),)
-        return CameraPath(kind, matrices, user_scene.fov, options.seed or 0)
+        has_start = kind != "wander" or user_scene.camera_to_world is not None
+        matrices = (user_scene.sensor_matrix() if has_start else np.eye(4),)
+        return CameraPath(kind, matrices, user_scene.fov, options.seed or 0, has_start)
     read, fov = camera_path.read_matrices(Path(kind))
     return CameraPath(Path(kind).stem, tuple(read), fov or user_scene.fov)
 
@@ -203,8 +210,10 @@ def _make_scene(
         f"{user_scene.content_hash(frames)} {chosen} {matrices} {path.fov} "
         f"exposure {options.exposure}"
     )
+    if options.sky:
+        source += f" sky {describe_sky(options.sky)}"
     is_own = path.kind == "own"
-    scene = user_scene.scene
+    scene = add_sky(user_scene.scene, options.sky) if options.sky else user_scene.scene
     scene = replace(
         scene,
         name=user_scene.name,

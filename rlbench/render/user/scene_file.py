@@ -1,4 +1,4 @@
-"""Opens a user's scene file: a Mitsuba XML file, or Python code that builds or animates a scene.
+"""Opens a user's scene file: Mitsuba XML, glTF, or Python code that builds or animates a scene.
 
 A Python file defines `scene()`, which returns a `rlbench.render.scene.Scene`; or `SCENE`, the name
 of an XML file beside it, and `moving(time, rest)`. `rest` maps the ids of shapes to their vertices
@@ -26,6 +26,8 @@ from jaxtyping import Float
 from numpy import ndarray as Array
 
 from rlbench.render.fingerprint import fingerprint
+from rlbench.render.gltf import document as gltf
+from rlbench.render.gltf.read_scene import read_gltf
 from rlbench.render.mitsuba import xml_scene
 from rlbench.render.scene import Camera, Scene, SceneError, Vertices, XmlFile
 from rlbench.render.user import camera_path
@@ -146,7 +148,8 @@ class UserScene:
         """
         if self.camera_to_world is None:
             raise SceneError(
-                f"{self.name} has no sensor. Add one, or give --camera a JSON file of matrices"
+                f"{self.name} has no camera, which XML calls sensor. Add one, or use --camera "
+                "wander, which finds views by itself, or a JSON file of matrices"
             )
         return camera_path.check_rigid(self.camera_to_world, f"{self.name}: to_world of its sensor")
 
@@ -166,12 +169,18 @@ def open_scene_file(
     """
     if not file.is_file():
         raise SceneError(
-            f"scene file {file} does not exist; render takes a Mitsuba XML or a Python file"
+            f"scene file {file} does not exist; render takes a Mitsuba XML, glTF or Python file"
         )
     if file.suffix == ".xml":
         return _from_xml(XmlFile(file, parameters, skip_missing))
+    if file.suffix.lower() in gltf.FORMATS:
+        if parameters:
+            raise SceneError("--define applies to XML files and to Cycles. Omit it")
+        return _from_gltf(file, skip_missing)
     if file.suffix != ".py":
-        raise SceneError(f"{file} is neither .xml (Mitsuba) nor .py; render takes one of these")
+        raise SceneError(
+            f"{file} is neither .xml (Mitsuba) nor .gltf, .glb or .py; render takes one of these"
+        )
     return _from_python(file, parameters, skip_missing)
 
 
@@ -203,10 +212,32 @@ def _from_python(
     return _animate(user_scene, file, moving)
 
 
+def _from_gltf(file: Path, skip_missing: bool) -> UserScene:
+    found = read_gltf(file, skip_missing)
+    return UserScene(
+        found.scene,
+        _name(file),
+        found.scene.source_hash,
+        found.camera_to_world,
+        found.fov,
+        aspect=found.aspect,
+        notes=found.notes,
+        missing_files=found.scene.missing_files,
+    )
+
+
+def _name(file: Path) -> str:
+    """The name of a file, or of its folder if it is called `scene`."""
+    return file.resolve().parent.name if GENERIC_NAME.fullmatch(file.stem) else file.stem
+
+
 def _from_xml(xml_file: XmlFile) -> UserScene:
     settings = xml_scene.read_settings(xml_file)
-    stem = xml_file.path.stem
-    name = xml_file.path.resolve().parent.name if GENERIC_NAME.fullmatch(stem) else stem
+    name = _name(xml_file.path)
+    matrix, notes = settings.camera_to_world, settings.notes
+    if matrix is not None:
+        matrix, more = camera_path.straighten(matrix)
+        notes = [*notes, *more]
     scene = Scene(
         name,
         name,
@@ -219,10 +250,10 @@ def _from_xml(xml_file: XmlFile) -> UserScene:
         scene,
         name,
         settings.digest,
-        settings.camera_to_world,
+        matrix,
         settings.fov,
         aspect=settings.aspect,
-        notes=settings.notes,
+        notes=notes,
         missing_files=settings.missing_files,
     )
 

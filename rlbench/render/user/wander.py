@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections import Counter
 from dataclasses import dataclass, replace
+from itertools import product
 
 import numpy as np
 from jaxtyping import Float
@@ -68,6 +69,13 @@ class _View:
         return float((np.maximum(across, along) > BEND * middle).mean())
 
     @property
+    def appeal(self) -> float:
+        """How much a view shows: detail that fills the image; 0 if something is too near."""
+        if not self.median or self.distances.min() < NEAREST * self.median:
+            return 0.0
+        return self.detail * (1 - self.no_surface) * max(0.0, 1 - 2 * self.back_faces)
+
+    @property
     def no_surface(self) -> float:
         """Share of rays that meet nothing."""
         return float(1 - np.isfinite(self.distances).mean())
@@ -99,25 +107,41 @@ def wander(
     )
 
 
-class _Eye:
-    """Looks into the scene from any camera, and judges views against that of the start."""
+def find_view(tracer: Tracer, fov: float) -> Float[Array, "4 4"]:
+    """The camera-to-world matrix of a good view into a scene whose file has no camera.
 
-    def __init__(self, tracer: Tracer, start: Float[Array, "4 4"], fov: float) -> None:
-        self.tracer, self.start, self.fov = tracer, start, fov
-        self.axis = int(np.argmax(abs(start[:3, 1])))  # the world axis that points up
+    Of places inside of the scene and around it, the one that sees most detail, few backs of
+    surfaces, and nothing too near. The world is z up, in XML files y up. `fov` is horizontal, in
+    degrees. Raises SceneError if all see nothing.
+    """
+    finder = _Finder(tracer, fov, axis=2 if tracer.scene.xml_file is None else 1)
+    box = tracer.mi_scene.bbox()
+    low, high = np.array(box.min).ravel(), np.array(box.max).ravel()
+    centre, radius = (low + high) / 2, float(np.linalg.norm(high - low)) / 2
+    azimuths = np.arange(8) * np.pi / 4 + 0.3
+    views = []
+    for azimuth in azimuths:
+        along = finder.aim(centre, azimuth, np.radians(-20))
+        views.append(finder.aim(centre - 1.6 * radius * along[:3, 2], azimuth, np.radians(-20)))
+    for share in product((0.15, 0.5, 0.85), (0.15, 0.5, 0.85), (0.25, 0.5, 0.75)):
+        place = low + np.roll(share, finder.axis - 2) * (high - low)
+        views += [finder.aim(place, azimuth, np.radians(-8)) for azimuth in azimuths]
+    appeals = [finder.look(view).appeal for view in views]
+    if max(appeals) <= 0:
+        raise SceneError(
+            "--camera wander finds no view of the scene, which has no camera of its own. Give "
+            "--camera a JSON file of matrices"
+        )
+    return views[int(np.argmax(appeals))]
+
+
+class _Finder:
+    """Looks into the scene from any camera."""
+
+    def __init__(self, tracer: Tracer, fov: float, axis: int, sign: float = 1.0) -> None:
+        self.tracer, self.fov, self.axis = tracer, fov, axis  # the world axis that points up
         self.up = np.zeros(3)
-        self.up[self.axis] = np.sign(start[self.axis, 1])
-        first = self.look(start)
-        if not first.median:
-            raise SceneError(
-                "--camera wander starts from the camera of the scene file, which sees no surface. "
-                "Point it at the scene, or give --camera a JSON file of matrices"
-            )
-        self.scale = first.median
-        self.least_detail = min(DETAIL[0], DETAIL[1] * first.detail)
-        self.most_sky = max(NO_SURFACE, first.no_surface + 0.05)
-        self.most_back_faces = first.back_faces + BACK_FACES
-        self.luminance = self._measure_luminance(start)
+        self.up[axis] = sign
 
     def look(self, matrix: Float[Array, "4 4"]) -> _View:
         """The distances that a grid of rays meets."""
@@ -136,6 +160,31 @@ class _Eye:
         forward[one], forward[two] = np.cos(pitch) * np.array([np.cos(azimuth), np.sin(azimuth)])
         (x, y, z), (u, v, w), (a, b, c) = (p.tolist() for p in (position, forward, self.up))
         return matrix_from_camera(Camera((x, y, z), (x + u, y + v, z + w), (a, b, c), self.fov))
+
+    def _move(self, matrix: Float[Array, "4 4"]) -> None:
+        camera = camera_from_matrix(matrix, self.fov)
+        self.tracer.scene = replace(self.tracer.scene, camera=lambda time: camera)
+        self.tracer.set_time(0.0)
+
+
+class _Eye(_Finder):
+    """Judges views against that of the start."""
+
+    def __init__(self, tracer: Tracer, start: Float[Array, "4 4"], fov: float) -> None:
+        axis = int(np.argmax(abs(start[:3, 1])))
+        super().__init__(tracer, fov, axis, np.sign(start[axis, 1]))
+        self.start = start
+        first = self.look(start)
+        if not first.median:
+            raise SceneError(
+                "--camera wander starts from the camera of the scene file, which sees no surface. "
+                "Point it at the scene, or give --camera a JSON file of matrices"
+            )
+        self.scale = first.median
+        self.least_detail = min(DETAIL[0], DETAIL[1] * first.detail)
+        self.most_sky = max(NO_SURFACE, first.no_surface + 0.05)
+        self.most_back_faces = first.back_faces + BACK_FACES
+        self.luminance = self._measure_luminance(start)
 
     def find_fault(self, matrix: Float[Array, "4 4"]) -> str:
         """Why a view is refused, in words; empty if it passes."""
@@ -166,11 +215,6 @@ class _Eye:
             )
         except SceneError:  # only black
             return 0.0
-
-    def _move(self, matrix: Float[Array, "4 4"]) -> None:
-        camera = camera_from_matrix(matrix, self.fov)
-        self.tracer.scene = replace(self.tracer.scene, camera=lambda time: camera)
-        self.tracer.set_time(0.0)
 
 
 def _draw_path(eye: _Eye, rng: Generator, frames: int) -> list[Float[Array, "4 4"]]:

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import hashlib
+import logging
 import os
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -13,6 +15,8 @@ from rlbench.render.scene import SceneError
 from rlbench.scenes.collection.pins import SCENE_FILE, Pin, PinnedFile, read_pin
 from rlbench.system import documents, paths
 
+_logger = logging.getLogger(__name__)
+
 CATALOG = Path(__file__).parent / "catalog.toml"
 SHIPPED_PINS = CATALOG.parent / "pins"
 MIRROR_VARIABLE = "RLBENCH_SCENES"
@@ -20,8 +24,18 @@ CREDITS = "CREDITS.md"  # beside the files of a downloaded scene
 LICENCES = {
     "CC0 1.0": "https://creativecommons.org/publicdomain/zero/1.0/",
     "CC BY 3.0": "https://creativecommons.org/licenses/by/3.0/",
+    "CC BY 4.0": "https://creativecommons.org/licenses/by/4.0/",
 }
 UNKNOWN_LICENCE = "unknown: see the folder's LICENSE.txt"
+
+
+@dataclass(frozen=True)
+class StartCamera:
+    """The camera of a scene whose file has none. The world is z up."""
+
+    origin: tuple[float, float, float]
+    target: tuple[float, float, float]
+    fov: float  # horizontal, degrees
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -37,6 +51,9 @@ class CollectionScene:
     commit: str = ""  # 40 hex digits
     folder: str = ""  # in the repository
     files: tuple[PinnedFile, ...] = ()  # empty: not pinned
+    main: str = SCENE_FILE  # the file of the scene, in its folder
+    sky: str = ""  # what `rlbench render --sky` adds
+    camera: StartCamera | None = None
 
     @property
     def presets(self) -> tuple[str, ...]:
@@ -58,7 +75,7 @@ class LocatedScene:
     """A scene on this machine, whole or in part."""
 
     entry: CollectionScene
-    scene: Path  # of scene.xml
+    scene: Path  # of the scene's file, mostly scene.xml
     missing: tuple[str, ...]  # pinned files that are absent or of another size, as in scene.xml
 
 
@@ -66,21 +83,32 @@ def load_catalog() -> dict[str, CollectionScene]:
     """All scenes by name: those that ship, then those that the user pinned.
 
     A pin of the user, in the folder `scenes/pins` of the cache, adds files to a scene that ships
-    without a pin, or a scene of its own. Raises SceneError for a file that is no pin.
+    without a pin, or a scene of its own. A file that is no pin is set aside.
     """
     document = documents.read_toml(CATALOG)
     listed = {
         name: documents.decode({"name": name, **table}, CollectionScene)
         for name, table in document.items()
     }
-    own = sorted(pins_folder().glob("*.tsv"))
-    pin_files = {file.stem: file for file in (*own, *SHIPPED_PINS.glob("*.tsv"))}
-    pins = {name: read_pin(file) for name, file in pin_files.items()}
+    pins = _read_own_pins() | {file.stem: read_pin(file) for file in SHIPPED_PINS.glob("*.tsv")}
     own_scenes = {name: _of_pin(name, pin) for name, pin in pins.items() if name not in listed}
     return {
         name: replace(entry, **vars(pins[name])) if name in pins else entry
         for name, entry in (listed | own_scenes).items()
     }
+
+
+def _read_own_pins() -> dict[str, Pin]:
+    """The pins that the user made; a damaged one is renamed to NAME.tsv.damaged, with a note."""
+    pins = {}
+    for file in sorted(pins_folder().glob("*.tsv")):
+        try:
+            pins[file.stem] = read_pin(file)
+        except SceneError as error:
+            with suppress(OSError):  # of a read-only cache
+                file.replace(file.with_name(f"{file.name}.damaged"))
+            _logger.warning("%s. It was set aside as %s.damaged", error, file.name)
+    return pins
 
 
 def find_scene(name: str) -> CollectionScene:
@@ -98,9 +126,9 @@ def find_located(entry: CollectionScene) -> LocatedScene | None:
     existence and size, not by content.
     """
     found = [
-        LocatedScene(entry, folder / SCENE_FILE, _missing_files(entry, folder))
+        LocatedScene(entry, folder / entry.main, _missing_files(entry, folder))
         for folder in _folders(entry.name)
-        if (folder / SCENE_FILE).is_file()
+        if (folder / entry.main).is_file()
     ]
     return min(found, key=lambda each: len(each.missing), default=None)
 
@@ -117,7 +145,7 @@ def locate(name: str) -> LocatedScene:
     command = f"`{get}`" if entry.files else f"`rlbench scenes pin {name}`, then `{get}`"
     raise SceneError(
         f"scene {name} lies in none of {', '.join(map(str, _folders(name)))}: run {command}, or "
-        f"set {MIRROR_VARIABLE} to a folder that has {name}/{SCENE_FILE}"
+        f"set {MIRROR_VARIABLE} to a folder that has {name}/{entry.main}"
     )
 
 

@@ -24,17 +24,22 @@ from urllib.request import Request, urlopen
 from rlbench.registry.near_names import unknown_name
 from rlbench.render.scene import SceneError
 
-SCENE_FILE = "scene.xml"  # in the folder of every scene
+SCENE_FILE = "scene.xml"  # in the folder of a scene, unless its pin names another
+# what rlbench render opens, in the order of preference where a folder has several
+SUFFIXES = (".xml", ".gltf", ".glb", ".blend", ".usd", ".usda", ".usdc", ".usdz", ".fbx", ".obj")
 NOT_NEEDED = (  # names of files that the repositories keep beside a scene, and that render nothing
     "TungstenRender.*",
     ".*",
     "transient*scene.xml",
     "*_rand_scene*.xml",
+    "scene.exr",
 )
 API, API_VARIABLE = "https://api.github.com", "RLBENCH_SCENES_API"
 TIMEOUT_S = 30.0
 HEADER = "# repository {} commit {} folder {}: path, git blob id (SHA-1), bytes"
 HEADER_PATTERN = re.compile(re.escape(HEADER).replace(r"\{\}", "(.+?)"))
+MAIN = " scene "  # in the header, between the folder and a file other than scene.xml
+ROOT = "."  # the folder of a scene at the top of its repository
 PLACE = re.compile(r"([\w.-]+/[\w.-]+)@(\w+):(.+)")
 
 
@@ -63,35 +68,48 @@ class Pin:
     commit: str  # 40 hex digits
     folder: str  # of the scene, in the repository
     files: tuple[PinnedFile, ...] = ()
+    main: str = SCENE_FILE  # the file of the scene, in the folder
 
 
 def read_pin(file: Path) -> Pin:
     """Read a pin. Raises SceneError, which names the line, for a file that is none."""
-    first, *lines = file.read_text(encoding="utf-8").splitlines() or [""]
+    try:
+        first, *lines = file.read_text(encoding="utf-8").splitlines() or [""]
+    except ValueError as error:
+        raise SceneError(f"{file} is no pin of a scene: it is not text in UTF-8") from error
     found = HEADER_PATTERN.fullmatch(first)
     if found is None:
         raise SceneError(f"{file} is no pin of a scene: its first line is not '{HEADER}'")
-    repository, commit, folder = found.groups()
+    repository, commit, place = found.groups()
+    folder, _, main = place.rpartition(MAIN)
+    if PurePosixPath(main).suffix.lower() not in SUFFIXES or not folder:
+        folder, main = place, SCENE_FILE
     files = []
     for number, line in enumerate(lines, 2):
         try:
             path, blob, size = line.split("\t")
-            relative = path.removeprefix(f"{folder}/")
-            if relative == path:
+            relative = path.removeprefix(_prefix(folder))
+            if relative == path and folder != ROOT:
                 raise ValueError(f"'{path}' is not in the folder {folder}")
             files.append(PinnedFile(relative, blob, None if size == "-" else int(size)))
         except ValueError as error:
             raise SceneError(f"{file}, line {number}: {error}. Pin the scene again") from error
-    return Pin(repository, commit, folder, tuple(files))
+    return Pin(repository, commit, folder, tuple(files), main)
 
 
 def format_pin(pinned: Pin) -> str:
     """The text of a pin."""
-    lines = [HEADER.format(pinned.repository, pinned.commit, pinned.folder)]
+    main = "" if pinned.main == SCENE_FILE else f"{MAIN}{pinned.main}"
+    lines = [HEADER.format(pinned.repository, pinned.commit, f"{pinned.folder}{main}")]
     for file in pinned.files:
         size = "-" if file.bytes is None else file.bytes
-        lines.append(f"{pinned.folder}/{file.path}\t{file.blob}\t{size}")
+        lines.append(f"{_prefix(pinned.folder)}{file.path}\t{file.blob}\t{size}")
     return "\n".join([*lines, ""])
+
+
+def _prefix(folder: str) -> str:
+    """What paths in a repository begin with; nothing for files at its top."""
+    return "" if folder == ROOT else f"{folder}/"
 
 
 def blob_id(file: Path) -> str:
@@ -104,7 +122,9 @@ def blob_id(file: Path) -> str:
 
 
 def parse_place(text: str) -> tuple[str, str, str]:
-    """Repository, commit and folder of OWNER/REPOSITORY@COMMIT:FOLDER.
+    """Repository, commit and folder of OWNER/REPOSITORY@COMMIT:FOLDER; `.` is the top.
+
+    FOLDER may end with the file of the scene: `rooms/attic/scene_day.xml`.
 
     >>> parse_place("wig42/scenes@" + "0" * 40 + ":rooms/attic/")[2]
     'rooms/attic'
@@ -112,7 +132,7 @@ def parse_place(text: str) -> tuple[str, str, str]:
     Raises SceneError for another form, and for a branch or a short commit id: they can move.
     """
     found = PLACE.fullmatch(text)
-    if found is None or not found[3].strip("/"):
+    if found is None or not found[3].strip("/ "):
         raise SceneError(f"'{text}' is no place of a scene. Give OWNER/REPOSITORY@COMMIT:FOLDER")
     repository, commit, folder = found.groups()
     if not re.fullmatch(r"[0-9a-f]{40}", commit):
@@ -120,7 +140,7 @@ def parse_place(text: str) -> tuple[str, str, str]:
             f"'{commit}' is no full commit id. Give all 40 hex digits: names of branches and short "
             "ids may mean other files later"
         )
-    return repository, commit, folder.strip("/")
+    return repository, commit, folder.strip("/") or ROOT
 
 
 def pin(repository: str, commit: str, folder: str, *, address: str | None = None) -> str:
@@ -130,24 +150,44 @@ def pin(repository: str, commit: str, folder: str, *, address: str | None = None
     variants of the scene by these repositories are left out. `address` of the API; default: the
     variable RLBENCH_SCENES_API, else GitHub's.
 
+    `folder` may end with the file of the scene. Otherwise that is scene.xml, or else the only file
+    of a format that rlbench renders.
+
     Raises SceneError for a repository, commit or folder that does not exist, for a folder without
-    scene.xml, and where GitHub refuses or cannot be reached.
+    a scene or with several, and where GitHub refuses or cannot be reached.
     """
+    folder, main = _split_main(folder)
     base = (address or os.environ.get(API_VARIABLE) or API).rstrip("/")
     trees = f"{base}/repos/{quote(repository)}/git/trees"
     place = f"{repository}@{commit[:12]}"
     files = sorted(_list_files(trees, commit, folder, place), key=lambda file: file.path)
-    names = {file.path for file in files}
-    if SCENE_FILE not in names:
-        others = [name for name in sorted(names) if name.endswith(".xml")]
-        found = f"it has {', '.join(others)}" if others else "it has no XML file"
-        raise SceneError(f"{place}:{folder} has no {SCENE_FILE}; {found}")
-    return format_pin(Pin(repository, commit, folder, tuple(files)))
+    main = _choose_main([file.path for file in files], main, f"{place}:{folder}")
+    return format_pin(Pin(repository, commit, folder, tuple(files), main))
+
+
+def _split_main(place: str) -> tuple[str, str]:
+    """A folder, and the file of the scene if the place ends with one."""
+    folder, _, name = place.rpartition("/")
+    if PurePosixPath(name).suffix.lower() in SUFFIXES:
+        return folder or ROOT, name
+    return place, ""
+
+
+def _choose_main(names: list[str], requested: str, place: str) -> str:
+    """The file of the scene among the files of its folder."""
+    top = [name for name in names if "/" not in name and Path(name).suffix.lower() in SUFFIXES]
+    choices = [requested] if requested else [SCENE_FILE, "scene.gltf", "scene.glb"]
+    found = [name for name in choices if name in top] or (top if not requested else [])
+    if len(found) == 1 or found[:1] == [SCENE_FILE]:
+        return found[0]
+    listed = f"it has {', '.join(top)}" if top else "it has no file that rlbench renders"
+    hint = f". Name one: {place}/{top[0]}" if top else ""
+    raise SceneError(f"{place} has no {requested or SCENE_FILE}; {listed}{hint}")
 
 
 def _list_files(trees: str, commit: str, folder: str, place: str) -> Iterator[PinnedFile]:
     """The needed files below a folder. Raises SceneError where there is no such folder."""
-    entries = list(_walk(trees, commit, folder, place))
+    entries = list(_walk(trees, commit, "" if folder == ROOT else folder, place))
     if not entries:
         level = _ask(f"{trees}/{commit}", place)["tree"]
         folders = [entry["path"] for entry in level if entry["type"] == "tree"]

@@ -6,10 +6,13 @@ import hashlib
 from collections.abc import Callable
 from dataclasses import replace
 
+from rlbench.render.gltf.document import FORMATS as GLTF
+from rlbench.render.gltf.read_scene import GLTF_VERSION
 from rlbench.render.mitsuba.variant import select_variant
 from rlbench.render.mitsuba.xml_scene import REPAIRS_VERSION
 from rlbench.render.presets import get_preset
-from rlbench.render.scene import Camera, Scene, XmlFile
+from rlbench.render.scene import Camera, Scene, SceneError, XmlFile
+from rlbench.render.user.camera_path import matrix_from_camera
 from rlbench.render.user.clip import UserSceneOptions, plan_clip
 from rlbench.render.user.scene_file import open_scene_file
 from rlbench.render.user.wander import WANDER_VERSION
@@ -29,13 +32,21 @@ def collection_scene(name: str, seed: int | None = None) -> Scene:
     """
     located = locate(name)
     entry = located.entry
+    is_xml = located.scene.suffix == ".xml"
+    if not is_xml and located.scene.suffix.lower() not in GLTF:
+        raise SceneError(
+            f"Cycles renders {located.scene.name}, so it is no scene of a preset. Render it by: "
+            f"rlbench render {located.scene}"
+        )
     source = f"{digest(located)} {REPAIRS_VERSION} {WANDER_VERSION} {name} {seed}"
+    if not is_xml:
+        source += f" {GLTF_VERSION} {entry.sky} {entry.camera}"
     described = Scene(
         name,
         entry.title,
         (),
         lambda time: Camera((0, 0, 0), (0, 0, 1)),  # until it is inspected
-        xml_file=XmlFile(located.scene, (), bool(located.missing)),
+        xml_file=XmlFile(located.scene, (), bool(located.missing)) if is_xml else None,
         source_hash=hashlib.blake2b(source.encode(), digest_size=16).hexdigest(),
         licence=f"{entry.licence}, '{entry.title}' by {entry.author}, {entry.source}",
         missing_files=located.missing,
@@ -45,6 +56,8 @@ def collection_scene(name: str, seed: int | None = None) -> Scene:
         chosen = _inspect(located, seed, frames, size)
         return replace(
             described,
+            meshes=chosen.meshes,
+            sky=chosen.sky,
             camera=chosen.camera,
             exposure=chosen.exposure,
             max_depth=chosen.max_depth,
@@ -61,10 +74,15 @@ def _inspect(located: LocatedScene, seed: int | None, frames: int, size: tuple[i
         frames=frames,
         size=size,
         seed=seed,
+        sky=located.entry.sky,
         skip_missing=bool(located.missing),
     )
     select_variant()
     user_scene = open_scene_file(options.file, options.parameters, options.skip_missing)
+    if start := located.entry.camera:
+        camera = Camera(start.origin, start.target, fov=start.fov)
+        matrix = matrix_from_camera(camera)
+        user_scene = replace(user_scene, camera_to_world=matrix, fov=start.fov)
     job, _ = plan_clip(options, user_scene, get_preset("mini"))
     return job.scene.inspect(frames, size)
 
@@ -82,10 +100,16 @@ def _plugin(name: str) -> Callable[[int | None], Scene]:
 bathroom = _plugin("bathroom")
 bathroom2 = _plugin("bathroom2")
 classroom = _plugin("classroom")
+cornell_box_picture = _plugin("cornell_box_picture")
 dining_room = _plugin("dining-room")
+isometric_room = _plugin("isometric-room")
 kitchen = _plugin("kitchen")
 living_room = _plugin("living-room")
 living_room_2 = _plugin("living-room-2")
+low_poly_jungle_scene = _plugin("low-poly-jungle-scene")
+office_room = _plugin("office-room")
+shanghai = _plugin("shanghai")
+snowy_hut = _plugin("snowy-hut")
 spaceship = _plugin("spaceship")
 staircase = _plugin("staircase")
 staircase2 = _plugin("staircase2")

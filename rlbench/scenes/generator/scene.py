@@ -106,21 +106,12 @@ def eventful_scene(seed: int) -> Scene:
     event, still = deal(seed, EVENTS, salt=3), scene(seed)
     eventful = replace(still, name=f"eventful-{seed}", title=f"{still.title}, {event}")
     if "hurry" in event:
-        eventful = _hurry(eventful, float(rng.uniform(2, 4)))
+        eventful = eventful.at_speed(float(rng.uniform(2, 4)))
     if "cut" in event:
         eventful = _cut(eventful, rng)
     if "switch" in event:
         eventful = _switch(eventful, rng)
     return eventful
-
-
-def _hurry(still: Scene, speed: float) -> Scene:
-    """The scene with all motion `speed` times as fast."""
-    return replace(
-        still,
-        camera=lambda time: still.camera(speed * time),
-        vertex_animation=lambda time: still.vertex_animation(speed * time),
-    )
 
 
 def _cut(still: Scene, rng: Generator) -> Scene:

@@ -168,25 +168,25 @@ def test_an_entry_twice_is_refused():
         compare(to_dataframe(rows(30.0)), twice)
 
 
-def test_unreliable_times_are_named_and_gate_nothing():
+def test_uncertain_times_are_named_and_gate_nothing():
     score = rows(30.0)
-    time = replace(score[-1], metric="inference_ms", unit="ms", note="unreliable: busy")
+    time = replace(score[-1], metric="inference_ms", unit="ms", note="uncertain: busy")
     report = compare(to_dataframe([*score, time]), baseline())
     assert report.has_passed
-    assert "unreliable times of ours, which gate nothing: city at 2 spp" in report.text()
-    assert "unreliable" not in compare(to_dataframe(score), baseline()).text()
+    assert "uncertain times of ours, which gate nothing: city at 2 spp" in report.text()
+    assert "uncertain" not in compare(to_dataframe(score), baseline()).text()
 
 
 ZERO = PartTime(0.0, 0.0, 0.0)
 
-TIMING = Timing("clip", *(ZERO,) * 5, 30, 10, 0.0, 1.0, 1.0, 0.0, 0.0, 1)
+TIMING = Timing("clip", *(ZERO,) * 5, 0.0, 0.0, "middle half", 30, 10, 0.0, 1.0, 1.0, 0.0, 0.0, 1)
 
 GATE = SpeedGate("ours", "oidn", 1.3)
 
 
-def timing(median, half_width=0.0, unreliable=""):
+def timing(median, half_width=0.0, disturbance=""):
     inference = PartTime(median, median, median)
-    return replace(TIMING, inference=inference, half_width=half_width, unreliable=unreliable)
+    return replace(TIMING, inference=inference, half_width=half_width, disturbance=disturbance)
 
 
 @pytest.mark.parametrize(
@@ -228,8 +228,8 @@ def test_what_is_no_gate_is_refused(text, message):
         (timing(1.29, 0.02), timing(1.0), "not resolved"),
         (timing(1.4, 0.02), timing(1.0, 0.02), "slower"),
         (timing(1.2, 0.02), timing(1.0, 0.02), "within"),
-        (timing(9.0, unreliable="busy"), timing(1.0), "undecided"),
-        (timing(1.0), timing(1.0, unreliable="busy"), "undecided"),
+        (timing(9.0, disturbance="busy"), timing(1.0), "undecided"),
+        (timing(1.0), timing(1.0, disturbance="busy"), "undecided"),
     ],
 )
 def test_a_gate_fails_only_where_the_whole_interval_exceeds_it(row, reference, verdict):

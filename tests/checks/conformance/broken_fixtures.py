@@ -291,9 +291,14 @@ class Fault(NamedTuple):
     traits: Traits = CORRECT
 
 
+def ask(image, samples):
+    return image if samples.counts.max() > 0 else 0 * image
+
+
 FAULTS = {
     "other traits": Fault("built", lambda traits: Correct(replace(traits, min_samples=1))),
     "not a method": Fault("built", lambda traits: SimpleNamespace(traits=traits)),
+    "asks for a value": Fault("recordable", edited(ask)),
     "not frozen": Fault(
         "frozen",
         lambda traits: SimpleNamespace(

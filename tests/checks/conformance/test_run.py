@@ -42,7 +42,7 @@ def test_an_exception_of_a_method_is_printed_with_its_line(tmp_path):
     (line,) = [line for line in lines if "✗" in line]
     number = plugin.read_text().splitlines().index("        return 1 / 0, None") + 1
     assert f"ZeroDivisionError: division by zero (mine.py:{number})" in line
-    assert sum("requires a passed check: run on frames of 77 x 123" in line for line in lines) == 21
+    assert sum("requires a passed check: run on frames of 77 x 123" in line for line in lines) == 22
 
 
 def test_debug_prints_the_traceback_of_an_exception(tmp_path):

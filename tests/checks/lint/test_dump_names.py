@@ -237,3 +237,12 @@ def test_no_layout_is_guessed_for_a_clip(tmp_path):
     (tmp_path / "clip.toml").write_text("")
     with pytest.raises(SourceError, match="is a clip already"):
         find_named_images(tmp_path)
+
+
+@pytest.mark.parametrize("others", [("envLight", "color2"), ("emissive", "ref_emissive")])
+def test_parts_of_light_are_not_taken_for_the_whole(tmp_path, others):
+    for name in ("color", "ref", *others):
+        write_file(tmp_path / f"{name}_0001.exr", {"": {c: np.ones((4, 4), "f4") for c in "RGB"}})
+    found = find_named_images(tmp_path)
+    assert found["radiance"].pattern == "color_{frame}.exr"
+    assert found["reference"].pattern == "ref_{frame}.exr"

@@ -17,7 +17,6 @@ from rlbench.checks.lint.radiance import check_brightness
 from rlbench.checks.result import Verdict
 from rlbench.cli.app import app
 from rlbench.clips.importers.layout import decode_layout, read_layout
-from rlbench.clips.importers.sequence import SourceError
 from tests.checks.lint.broken_fixtures import correct_clip
 from tests.checks.lint.renderers import RENDERERS, SAMPLES, write_renderer
 from tests.clips.importers.dumps import (
@@ -175,16 +174,14 @@ def test_a_known_engine_with_another_convention_is_not_recognised(small, tmp_pat
     assert recognize_layout(tmp_path) is None
 
 
-def test_a_dump_without_a_reference_is_an_error_that_says_which_names_are_understood(
-    small, tmp_path
-):
+def test_a_dump_without_a_reference_has_a_layout_without_one(small, tmp_path):
     write_falcor(small, tmp_path)
     for half in "AB":
         shutil.rmtree(tmp_path / f"reference{half}")
-    with pytest.raises(
-        SourceError, match="no image looks like reference; its names should contain"
-    ):
-        guess_layout(tmp_path)
+    (tmp_path / "engine.toml").write_text(format_guess(guess_layout(tmp_path)))
+    layout = read_layout(str(tmp_path / "engine.toml"))
+    assert layout.reference.files == ()
+    assert layout.radiance.files == "sample{sample}/Mogwai.PathTracer.color.{frame}.exr"
 
 
 def test_the_command_does_not_overwrite_a_layout(own, tmp_path):

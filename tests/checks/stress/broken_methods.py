@@ -72,6 +72,36 @@ class Drifts(Accumulate):
         return image * 0.99**age, (*after, age + 1)
 
 
+class ForgetsToDeclare(Mean):
+    """Fades with every frame by a state that its traits deny."""
+
+    def denoise(self, gbuffer, samples, state):
+        age = state or 0
+        return samples.mean * 0.99**age, age + 1
+
+
+class RemembersOutside(Mean):
+    """Fades with every frame by memory outside its state."""
+
+    def denoise(self, gbuffer, samples, state):
+        self.hidden["age"] = self.hidden.get("age", 0) + 1
+        return samples.mean * 0.99 ** self.hidden["age"], None
+
+
+class LosesFrames(Accumulate):
+    """Twelve frames of the moving clip in the middle of a run are `lost`."""
+
+    def __init__(self, lost):
+        super().__init__(hidden={"lost": lost})
+
+    def denoise(self, gbuffer, samples, state):
+        age = 0 if state is None else state[2]
+        image, after = super().denoise(gbuffer, samples, state and state[:2])
+        if 125 <= age < 137 and len(image) > 1:
+            image = torch.cat((image[:1], torch.full_like(image[1:], self.hidden["lost"])))
+        return image, (*after, age + 1)
+
+
 class GrowsState(Accumulate):
     """Keeps one number per frame in its state."""
 

@@ -29,14 +29,16 @@ from tests.checks.stress.broken_methods import STATELESS, run_section, verdicts
 
 CPU = torch.device("cpu")
 SOUND = [
-    (long_runs, broken.Accumulate(), {Verdict.PASSED}),
-    (long_runs, broken.Mean(), {Verdict.SKIPPED}),
+    (long_runs, broken.Accumulate(), {Verdict.PASSED, Verdict.SKIPPED}),
+    (long_runs, broken.Mean(), {Verdict.PASSED, Verdict.SKIPPED}),
     (lying_buffers, broken.Mean(), {Verdict.SKIPPED}),
     (precision, broken.Mean(), {Verdict.PASSED, Verdict.SKIPPED}),
     (transformations, broken.Mean(), {Verdict.PASSED, Verdict.SKIPPED}),
 ]
 FAULTS = [  # section, method, tests that find its fault
     (long_runs, broken.Drifts(), ["drift-static"]),
+    (long_runs, broken.ForgetsToDeclare(), ["frame-alone", "drift-static"]),
+    (long_runs, broken.RemembersOutside(), ["frame-alone"]),
     (long_runs, broken.NeverConverges(), ["convergence", "convergence-gap"]),
     (long_runs, broken.GrowsState(), ["state-growth"]),
     (long_runs, broken.GrowsMemory(), ["memory-growth"]),
@@ -85,6 +87,17 @@ def test_the_full_form_finds_drift_in_a_moving_clip_and_in_bf16():
     found = verdicts(long_runs, broken.Drifts(), is_quick=False)
     drifts = [verdict for test, verdict in found.items() if test.startswith("drift")]
     assert drifts == [Verdict.FAILED] * 4
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("lost", "tests"), [(torch.nan, {"finite", "dip-moving"}), (0.0, {"dip-moving"})]
+)
+def test_the_full_form_finds_lost_frames_between_its_windows(monkeypatch, lost, tests):
+    monkeypatch.setattr(long_runs, "FRAMES", 260)
+    found = verdicts(long_runs, broken.LosesFrames(lost), is_quick=False)
+    failed = {test for test, verdict in found.items() if verdict is Verdict.FAILED}
+    assert tests <= failed <= tests | {f"{test}-bf16" for test in tests}
 
 
 @pytest.mark.slow

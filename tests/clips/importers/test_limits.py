@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import tracemalloc
+from contextlib import nullcontext
 
 import pytest
 
-from rlbench.clips.importers import formats
+from rlbench.clips.importers import formats, limits
 from rlbench.clips.importers.sequence import SourceError
 from rlbench.clips.importers.zarr_v2 import open_archive, read_array
 from tests.clips.importers.sources import H, W, noisebase_arrays, zarr_zip
@@ -76,3 +77,19 @@ def test_a_small_zip_does_not_unpack_to_a_gigabyte(tmp_path, shape, chunks):
         read_array(archive, "color")
     assert tracemalloc.get_traced_memory()[1] < 2**24
     tracemalloc.stop()
+
+
+@pytest.mark.parametrize(
+    ("side", "message"),
+    [(2**12, ""), (2**13, "nearly constant"), (2**13 + 1, "up to 67108864 pixels")],
+)
+def test_large_images_of_no_bytes_are_refused_and_small_ones_are_not(tmp_path, side, message):
+    (tmp_path / "a.exr").write_bytes(b"x" * 1000)
+    with pytest.raises(SourceError, match=message) if message else nullcontext():
+        limits.check_clip("a", [tmp_path / "a.exr"], side, side)
+
+
+def test_a_link_to_itself_is_named(tmp_path):
+    (tmp_path / "loop.exr").symlink_to("loop.exr")
+    with pytest.raises(SourceError, match="loop.exr is a link that leads to itself"):
+        limits.list_files(tmp_path)

@@ -126,7 +126,8 @@ def test_a_tracer_that_does_not_read_a_file_is_refused(name, tracer, match):
 
 
 @pytest.mark.parametrize(
-    ("name", "tracer"), [("a.xml", "mitsuba"), ("a.py", "mitsuba"), ("A.GLB", "cycles")]
+    ("name", "tracer"),
+    [("a.xml", "mitsuba"), ("a.py", "mitsuba"), ("A.GLB", "mitsuba"), ("a.blend", "cycles")],
 )
 def test_a_file_goes_to_the_tracer_that_reads_it(name, tracer):
     assert select_tracer(Path(name), None) == tracer

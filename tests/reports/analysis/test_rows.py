@@ -35,6 +35,7 @@ def changed(column, first, other):
 REFUSED = {
     "devices": (changed("device", "A", "B"), "A, B"),
     "presets": (changed("preset", "mini", "standard"), r"city-0 .*mini, standard"),
+    "sizes": (changed("size", "192x192", "640x360"), "192x192 and 640x360"),
     "costs": (rows(["ours"]) + rows(["ntas"], profile="this machine"), "2 sources"),
     "rows": ([], "no rows"),
 } | {
@@ -48,6 +49,10 @@ def test_rows_that_cannot_be_compared_are_refused(kind):
     table, message = REFUSED[kind]
     with pytest.raises(ReportError, match=message):
         check_comparable(to_dataframe(table))
+
+
+def test_films_of_other_shapes_and_about_as_many_pixels_are_comparable():
+    check_comparable(to_dataframe(changed("size", "192x192", "256x144")))
 
 
 def test_rows_are_split_by_the_device_of_methods_not_by_that_which_rendered():
@@ -86,17 +91,17 @@ def test_a_reason_is_listed_once_for_a_method():
 def test_a_remark_is_listed_once_for_a_method_and_metric_and_is_not_about_times():
     measured = [replace(r, note="trained on this clip") for r in rows(["ours"])[:2]]
     skipped = replace(measured[0], value=math.nan, note="needs CUDA")
-    busy = replace(measured[0], metric="plan_ms", unit="ms", note="unreliable: busy")
+    busy = replace(measured[0], metric="plan_ms", unit="ms", note="uncertain: busy")
     assert analysed.remarks(to_dataframe([*measured, skipped, busy])) == [
         "ours, psnr: trained on this clip",
         "ours, relmse: trained on this clip",
     ]
 
 
-def test_the_reason_for_unreliable_times_is_one_line_for_all_rows_that_share_it():
+def test_the_reason_for_uncertain_times_is_one_line_for_all_rows_that_share_it():
     times = [r for r in rows(["ours"]) if r.metric == "plan_ms"]
-    busy = [replace(r, metric="inference_ms", note="unreliable: busy") for r in times]
-    (line,) = analysed.unreliable_times(to_dataframe(busy))
+    busy = [replace(r, metric="inference_ms", note="uncertain: busy") for r in times]
+    (line,) = analysed.uncertain_times(to_dataframe(busy))
     assert (
         line == "inference_ms of ours on city, hall, ripples, temple at 0.5, 1, 2, 4, 8 spp: busy"
     )

@@ -36,10 +36,10 @@ def write_scene(folder: Path) -> Path:
     return folder
 
 
-def test_thirteen_scenes_ship_and_eight_are_pinned():
+def test_nineteen_scenes_ship_and_fifteen_are_pinned():
     entries = load_catalog()
-    assert len(entries) == 13
-    assert len([entry for entry in entries.values() if entry.files]) == 8
+    assert len(entries) == 19
+    assert len([entry for entry in entries.values() if entry.files]) == 15
     real = {name for name, entry in entries.items() if "real" in entry.presets}
     assert real == {"living-room", "classroom", "staircase2"}
 
@@ -59,9 +59,14 @@ def test_every_scene_says_whom_to_credit_and_where_it_is_from(entry):
 )
 def test_a_shipped_pin_has_the_scene_its_licence_and_nothing_that_is_not_rendered(entry):
     names = {file.path for file in entry.files}
-    assert {"scene.xml", "LICENSE.txt"} <= names
-    rest = {Path(name).parts[0] for name in names} - {"scene.xml", "LICENSE.txt"}
-    assert rest <= {"models", "textures"}
+    assert entry.main in names
+    licences = {name for name in names if name.lower() in ("license.txt", "readme.md")}
+    assert licences
+    rest = {Path(name) for name in names - licences - {entry.main}}
+    if entry.main.endswith(".xml"):
+        assert {path.parts[0] for path in rest} <= {"models", "textures"}
+    else:
+        assert {path.suffix for path in rest} <= {".bin", ".png", ".jpeg"}
     assert len(names) == len(entry.files)
 
 
@@ -74,9 +79,9 @@ def test_a_pin_of_the_user_is_a_scene_of_an_unknown_licence(server):
 
 
 def test_a_pin_of_the_user_adds_the_files_of_a_scene_that_ships_without(server):
-    server.write_pin().rename(catalog.pins_folder() / "veach-mis.tsv")
-    entry = find_scene("veach-mis")
-    assert entry.author == "Benedikt Bitterli"
+    server.write_pin().rename(catalog.pins_folder() / "staircase.tsv")
+    entry = find_scene("staircase")
+    assert entry.author == "Wig42"
     assert len(entry.files) == len(FILES)
 
 
@@ -141,7 +146,7 @@ def test_states_of_scenes_that_are_not_partial(server):
     assert describe_state(entry, find_located(entry)) == "not downloaded"
     write_scene(paths.scenes_folder() / "attic")
     assert describe_state(entry, find_located(entry)) == "complete"
-    assert describe_state(find_scene("veach-mis"), None) == "not pinned"
+    assert describe_state(find_scene("staircase"), None) == "not pinned"
 
 
 def test_the_digest_changes_with_the_pin_and_with_missing_files_and_not_with_the_folder(
@@ -161,12 +166,12 @@ def test_the_digest_changes_with_the_pin_and_with_missing_files_and_not_with_the
 
 
 def test_the_digest_of_a_scene_without_a_pin_is_that_of_its_xml():
-    folder = paths.scenes_folder() / "veach-mis"
+    folder = paths.scenes_folder() / "staircase"
     folder.mkdir(parents=True)
     digests = set()
     for text in ("<scene/>", "<scene> </scene>", "<scene/>"):
         (folder / "scene.xml").write_text(text)
-        digests.add(digest(locate("veach-mis")))
+        digests.add(digest(locate("staircase")))
     assert len(digests) == 2
 
 

@@ -200,5 +200,5 @@ def test_a_download_continues_after_a_kill_and_removes_what_it_left(server, targ
 
 
 def test_a_scene_without_a_pin_names_the_command_that_pins_it():
-    with pytest.raises(SceneError, match="Pin them: rlbench scenes pin veach-mis"):
-        get("veach-mis")
+    with pytest.raises(SceneError, match="Pin them: rlbench scenes pin staircase"):
+        get("staircase")

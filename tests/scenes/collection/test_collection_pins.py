@@ -93,13 +93,34 @@ def test_the_address_of_the_api_can_be_set_by_a_variable(server, monkeypatch):
             "scene",
             r"has no folder 'scene'; folders at its top: scenes. Did you mean 'scenes'",
         ),
-        (OWNER, "scenes/cellar", r"scenes/cellar has no scene.xml; it has room.xml"),
+        (OWNER, "scenes/empty", r"no scene.xml; it has a.gltf, b.xml. Name one: .*/a.gltf"),
+        (OWNER, "scenes/cellar/none.xml", r"scenes/cellar has no none.xml; it has room.xml"),
         ("wig42/houses", FOLDER, r"GitHub knows no wig42/houses@.*Check the owner"),
     ],
 )
 def test_a_place_without_a_scene_is_an_error(server, repository, folder, reason):
     with pytest.raises(SceneError, match=reason):
         pin(repository, server.commit, folder, address=server.address)
+
+
+@pytest.mark.parametrize(
+    ("place", "folder", "main"),
+    [
+        ("scenes/cellar", "scenes/cellar", "room.xml"),  # the only one
+        ("scenes/cellar/room.xml", "scenes/cellar", "room.xml"),
+        ("scenes/empty/b.xml", "scenes/empty", "b.xml"),
+        ("hut.blend", ".", "hut.blend"),  # at the top of the repository
+        (".", ".", "hut.blend"),
+        (FOLDER, FOLDER, "scene.xml"),
+    ],
+)
+def test_a_pin_names_any_file_of_a_scene(server, tmp_path, place, folder, main):
+    text = pin(OWNER, server.commit, place, address=server.address)
+    (tmp_path / "a.tsv").write_text(text)
+    found = read_pin(tmp_path / "a.tsv")
+    assert (found.folder, found.main) == (folder, main)
+    assert main in {file.path for file in found.files}
+    assert format_pin(found) == text
 
 
 @pytest.mark.parametrize(

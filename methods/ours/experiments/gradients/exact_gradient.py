@@ -32,7 +32,7 @@ from methods.ours.experiments.toy_problem import (
     toy_density,
     toy_frames,
 )
-from rlbench.ops.dither import THRESHOLD_BITS, hash_to_integer
+from rlbench.ops.dither import THRESHOLD_BITS, hash_to_integers
 from rlbench.training.surrogate_gradient import relaxed_counts
 
 SIDE = 24  # rows and columns of the image
@@ -117,10 +117,10 @@ class SystematicProblem(ToyProblem):
         low = torch.full(action.shape, self.min_samples)
         density = toy_density(action.detach().double())
         shares = relaxed_counts(density, self.spp, low, self.max_samples)
-        offsets = [hash_to_integer(seed, 0) / 2**THRESHOLD_BITS for seed in seeds]
+        offsets = hash_to_integers(torch.tensor(seeds), levels=1).double() / 2**THRESHOLD_BITS
         rounded = [
-            round_systematically(image, torch.tensor([offset], dtype=torch.float64))
-            for image, offset in zip(shares, offsets, strict=True)
+            round_systematically(image, offset)
+            for image, offset in zip(shares, offsets.view(-1, 1), strict=True)
         ]
         return torch.cat(rounded).long()
 

@@ -90,7 +90,8 @@ def _moves(scene: Any, camera: Any) -> bool:
     owners = [item for part in parts for item in part]
     owners += [tree for item in owners if (tree := getattr(item, "node_tree", None))]
     own = {camera, camera.data} if camera else set()
-    for data in (item.animation_data for item in owners if item not in own):
+    # collections have none in Blender 4.5
+    for data in (getattr(item, "animation_data", None) for item in owners if item not in own):
         if data and (data.action or data.drivers or data.nla_tracks):
             return True
     for item in scene.objects:

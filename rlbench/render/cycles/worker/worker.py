@@ -111,6 +111,17 @@ def work(job: dict[str, Any]) -> None:
     if job.get("wander"):
         tell("placed", **blender_wander.place_paths(scene, job["wander"], start))
         return
+    if job.get("export"):
+        scene.frame_set(start)
+        bpy.ops.export_scene.gltf(
+            filepath=job["export"],
+            export_format="GLB",
+            export_apply=True,
+            export_materials="NONE",
+            export_animations=False,
+            use_renderable=True,
+        )
+        return
     if not job["renders"]:
         tell("opened", **blender_scene.describe(scene, job, start))
         return

@@ -1,6 +1,6 @@
 """Denoise the frames of a shot in order, and resume: mean images in, copies of their files out.
 
-`rlbench.denoise_record` tells which frames are finished. A method's state is written every 8
+`rlbench.denoising.record` tells which frames are finished. A method's state is written every 8
 frames; a killed command begins at the last state, and without a state from the first frame, so that
 its images are those of a command that was not killed.
 """
@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import dataclasses
 import json
+import re
 from collections import Counter
 from collections.abc import Callable, Mapping
 from contextlib import suppress
@@ -21,15 +22,17 @@ import torch
 from safetensors import SafetensorError, safe_open
 from safetensors.torch import save_file
 
-from rlbench.denoise import (
-    DenoiseError,
-    denoise_frame,
-    estimate_exposure,
-    read_leaves,
-    replace_leaves,
+from rlbench.denoise import DenoiseError, read_leaves, replace_leaves
+from rlbench.denoising.files import NoisySequence
+from rlbench.denoising.passes import DenoisedParts, denoise_parts
+from rlbench.denoising.record import (
+    Files,
+    Record,
+    Settings,
+    WrittenFrame,
+    claim_frames,
+    read_record,
 )
-from rlbench.denoise_files import NoisySequence
-from rlbench.denoise_record import Files, Record, Settings, WrittenFrame, claim_frames, read_record
 from rlbench.method import Method, State
 from rlbench.system.folder_lock import locked_folder
 from rlbench.system.paths import atomic_write
@@ -79,27 +82,26 @@ def denoise_sequence(
         summary = DenoisingSummary()
         record = shot.open_record(label, exposure, summary.notes)
         unfinished = [i for i in range(len(noisy)) if not shot.is_finished(record, i)]
-        start, state = len(noisy), None
+        start, states = len(noisy), dict[str, State]()
         if unfinished and method.traits.temporal:
-            start, state = shot.restore(record, unfinished[0])
+            start, states = shot.restore(record, unfinished[0])
             unfinished = list(range(unfinished[0], len(noisy)))
         shot.forget(record, unfinished)
         summary.kept = len(noisy) - noisy.start - sum(i >= noisy.start for i in unfinished)
         for index in range(len(noisy)):
             if index in unfinished or index >= start:
                 source = Files.read(noisy.sources(index))
-                frame = noisy.read(index)
-                result = denoise_frame(method, frame, state, record.settings.exposure, device)
-                state = result.state
+                found = shot.denoise(index, states, record.settings.exposure)
+                states = found.states
                 if index in unfinished:
                     images = None
                     if index >= noisy.start:
-                        images = Files.read([noisy.write(index, out, result.image)])
-                        summary.count(result.repairs)
+                        images = Files.read([noisy.write(index, out, found)])
+                        summary.count(found.repairs)
                     record.frames[shot.key(index)] = WrittenFrame(source, images)
                     record.write(shot.record_file)
                 if method.traits.temporal and not (index + 1) % STATE_PERIOD:
-                    _save(state, shot.describe(record, index + 1), shot.state_file)
+                    _save(states, shot.describe(record, index + 1), shot.state_file)
             on_frame()
         shot.state_file.unlink(missing_ok=True)
         return summary
@@ -122,6 +124,11 @@ class _Shot:
     def state_file(self) -> Path:
         return self.out / f"{self.noisy.name}{self.noisy.piece}.denoise-state.safetensors"
 
+    def denoise(self, index: int, states: Mapping[str, State], exposure: float) -> DenoisedParts:
+        """The images of a frame."""
+        frame, parts = self.noisy.read(index), self.noisy.read_parts(index)
+        return denoise_parts(self.method, frame, parts, states, exposure, self.device)
+
     def key(self, index: int) -> str:
         """The name of a frame in the record; frames before a piece have no image."""
         path = self.noisy.output(index, self.out).relative_to(self.out)
@@ -131,17 +138,18 @@ class _Shot:
         """The record with all frames of the shot. Raises DenoiseError (see `denoise_sequence`)."""
         noisy, before = self.noisy, None
         outputs = {self.key(i): [noisy.output(i, self.out)] for i in range(noisy.start, len(noisy))}
-        known: Mapping[str, WrittenFrame] = {}
+        known = self._read_other_pieces()
         if self.record_file.is_file():
             before, note = read_record(self.record_file)
             notes += [note] if note else []
-            known = before.frames if before else dict.fromkeys(outputs, WrittenFrame())
+            known |= before.frames if before else dict.fromkeys(outputs, WrittenFrame())
         exposure = exposure or (before.settings.exposure if before else None)
         settings = Settings(
             method=label,
-            exposure=exposure or estimate_exposure(noisy.read_opening()),
+            exposure=exposure or noisy.estimate_exposure(),
             spp=noisy.spp or "as the files say",
             static=noisy.is_static,
+            also=", ".join(each.name for each in noisy.passes),
             first_frame=noisy.sequence.numbers[0] if self.method.traits.temporal else None,
             layout=sha256(noisy.sequence.convention.encode()).hexdigest()[:16],
         )
@@ -156,6 +164,17 @@ class _Shot:
         record = Record(settings, claim_frames(known, outputs, self.out))
         record.write(self.record_file)
         return record
+
+    def _read_other_pieces(self) -> dict[str, WrittenFrame]:
+        """The images of other pieces of the shot, or of the whole, which may be replaced."""
+        known = dict[str, WrittenFrame]()
+        name = re.compile(rf"{re.escape(self.noisy.name)}(\.\d+-\d+)?\.denoise\.json")
+        for file in sorted(each for each in self.out.iterdir() if name.fullmatch(each.name)):
+            if file != self.record_file and (record := read_record(file)[0]):
+                known |= {
+                    key: WrittenFrame(images=frame.images) for key, frame in record.frames.items()
+                }
+        return known
 
     def is_finished(self, record: Record, index: int) -> bool:
         """Whether a frame was written, and neither its sources nor its image changed."""
@@ -176,13 +195,12 @@ class _Shot:
         """What a state on the disk belongs to."""
         return {"next": following, **dataclasses.asdict(record.settings)}
 
-    def restore(self, record: Record, first: int) -> tuple[int, State]:
-        """The frame to begin with, `first` or one before it, and the state before that frame.
+    def restore(self, record: Record, first: int) -> tuple[int, Mapping[str, State]]:
+        """The frame to begin with, `first` or one before it, and the states before that frame.
 
         Without a state of these settings, or where the method's state has another structure now,
         that is the first frame of the shot, and a state of frames that changed is removed.
         """
-        settings = record.settings
         with (
             suppress(OSError, SafetensorError, LookupError, ValueError),
             safe_open(self.state_file, "pt", str(self.device)) as stored,
@@ -192,19 +210,18 @@ class _Shot:
             start = before["next"]
             if before == self.describe(record, start) and start <= first:
                 leaves = {name: stored.get_tensor(name) for name in stored.keys()}  # noqa: SIM118
-                frame = self.noisy.read(start - 1)
-                like = denoise_frame(self.method, frame, None, settings.exposure, self.device).state
+                like = self.denoise(start - 1, {}, record.settings.exposure).states
                 leaves |= json.loads(words["numbers"])
                 if all(_is_alike(leaf, leaves.get(path)) for path, leaf in read_leaves(like)):
                     return start, replace_leaves(like, leaves)
         self.state_file.unlink(missing_ok=True)
-        return 0, None
+        return 0, {}
 
 
-def _save(state: State, settings: Mapping[str, Any], file: Path) -> None:
-    """Write a state; one of parts that are unknown is not written."""
+def _save(states: Mapping[str, State], settings: Mapping[str, Any], file: Path) -> None:
+    """Write states; those of parts that are unknown are not written."""
     with suppress(TypeError):
-        leaves = dict(read_leaves(state))
+        leaves = dict(read_leaves(states))
         tensors = {
             path: leaf.cpu().clone(memory_format=torch.contiguous_format)
             for path, leaf in leaves.items()

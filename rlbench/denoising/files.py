@@ -1,6 +1,6 @@
 """The frames of a shot in files: which they are, how one is read, and where its image goes.
 
-Layouts are those of `rlbench import`, or files are loose (`rlbench.denoise_loose`). Here the
+Layouts are those of `rlbench import`, or files are loose (`rlbench.denoising.loose`). Here the
 radiance of a layout is the mean of any number of samples, there is no reference, and the denoised
 radiance takes the place of the mean's channels in a copy of its file.
 """
@@ -8,7 +8,7 @@ radiance takes the place of the mean's channels in a copy of its file.
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from itertools import takewhile
@@ -16,20 +16,24 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import OpenEXR
 import torch
 
-from rlbench.clips.exr import ExrHeaderError, replace_channels
+from rlbench.clips.exr import ExrHeaderError
+from rlbench.clips.exr_attributes import read_strings
+from rlbench.clips.exr_copy import NewPixels, replace_channels
 from rlbench.clips.importers import limits
 from rlbench.clips.importers.dump import Clips, build_sequences, match_files
 from rlbench.clips.importers.dump_frame import FLIPS, image_channels
 from rlbench.clips.importers.formats import FORMATS
-from rlbench.clips.importers.image_files import find_channels
+from rlbench.clips.importers.image_files import find_channels, read_exr_image
 from rlbench.clips.importers.layout import Layout, Reference, read_layout
 from rlbench.clips.importers.sequence import ImportedSequence, Pixels, SourceError, select_frames
 from rlbench.clips.importers.sky import add_sky_motion
-from rlbench.denoise import NoisyFrame
-from rlbench.denoise_loose import is_blender, match_loose_images, parse_loose_image
+from rlbench.clips.importers.writer import MAX_EXPOSURE_FRAMES
+from rlbench.clips.primaries import Chromaticities, format_chromaticities
+from rlbench.denoise import NoisyFrame, estimate_exposure
+from rlbench.denoising.loose import is_blender, match_loose_images, parse_loose_image
+from rlbench.denoising.passes import DenoisedParts, LightPass, Part, find_passes
 from rlbench.frames import GBuffer
 
 __all__ = ["GapError", "NoMotionError", "NoisySequence", "find_noisy_sequences"]
@@ -59,8 +63,9 @@ class NoisySequence:
     spp: float | None  # samples per pixel of every frame; None: as the files say
     is_static: bool = False  # nothing moves, whatever the files say
     start: int = 0  # index of the first frame that is written; those before are for the memory
-    opening: ImportedSequence | None = None  # of the first frame of the whole shot
+    overview: tuple[Path, ...] = ()  # means of up to 8 frames of the whole shot
     frames: tuple[int, int] | None = None  # the piece of the shot; None: all of it
+    passes: tuple[LightPass, ...] = ()  # that are denoised too
 
     def __len__(self) -> int:
         """Number of frames."""
@@ -78,6 +83,8 @@ class NoisySequence:
         lines = [f"{each}: a constant stands in" for each in missing if each != NO_MOTION]
         if "flow" in self.sequence.limitations:
             lines.append("no motion: optical flow of albedo stands in")
+        if primaries := self.primaries:
+            lines.append(f"chromaticities are kept: {format_chromaticities(primaries)}")
         if "sky motion" in self.sequence.limitations:
             lines.append("motion of the sky is unknown, so the sky has no history")
         return lines
@@ -91,14 +98,19 @@ class NoisySequence:
         """The files of a frame."""
         return self.sequence.frame_files[index]
 
+    @property
+    def primaries(self) -> Chromaticities | None:
+        """What R, G and B of the first frame mean; None for Rec. 709. Raises SourceError."""
+        path = self.sequence.radiance[0]
+        header, _ = find_channels(path, image_channels("radiance", self.layout))
+        try:
+            return header.primaries
+        except ExrHeaderError as error:
+            raise SourceError(f"{path}: {error}") from error
+
     def output(self, index: int, out: Path) -> Path:
         """The file of a denoised frame: the path of its mean, below another folder."""
         return out / self.sequence.radiance[index].relative_to(self.source)
-
-    def read_opening(self) -> torch.Tensor:
-        """The mean image [1 3 h w] of the first frame of the whole shot. Raises SourceError."""
-        sequence = self.opening or self.sequence
-        return _to_tensor(sequence.read(sequence.numbers[0], 1).pool[0])
 
     def read(self, index: int) -> NoisyFrame:
         """A frame; values that are not finite stay. Raises SourceError."""
@@ -115,21 +127,35 @@ class NoisySequence:
 
     def find_spp(self, index: int) -> float | None:
         """Samples per pixel as Blender writes them into a file, None where it does not say them."""
-        header_only = OpenEXR.File(str(self.sequence.radiance[index]), header_only=True)
-        for part in header_only.parts:
-            for name, value in part.header.items():
-                if SAMPLES_ATTRIBUTE.fullmatch(name) and str(value).isdecimal():
-                    return max(1.0, float(value))
+        for name, value in read_strings(self.sequence.radiance[index]):
+            if SAMPLES_ATTRIBUTE.fullmatch(name) and value.isdecimal():
+                return max(1.0, float(value))
         return None
 
-    def write(self, index: int, out: Path, image: torch.Tensor) -> Path:
-        """Write a copy of a frame's file with this image [1 3 h w] in place of the mean."""
+    def estimate_exposure(self) -> float:
+        """The exposure for the means of up to 8 frames of the whole shot. Raises SourceError."""
+        channels = image_channels("radiance", self.layout)
+        images = (read_exr_image(file, channels).pixels for file in self.overview)
+        return estimate_exposure(_to_tensor(image)[0] for image in images)
+
+    def read_parts(self, index: int) -> dict[str, Part]:
+        """The passes of a frame. Raises SourceError."""
+        file, flip = self.sequence.radiance[index], FLIPS[self.layout.radiance.flip]
+        return {each.name: each.read(file, self.sequence.window, flip) for each in self.passes}
+
+    def write(self, index: int, out: Path, found: DenoisedParts) -> Path:
+        """Write a copy of a frame's file with the image in place of the mean, and its parts."""
         source, target = self.sequence.radiance[index], self.output(index, out)
-        header, names = find_channels(source, image_channels("radiance", self.layout))
-        pixels = np.flip(image[0].movedim(0, -1).numpy(), FLIPS[self.layout.radiance.flip])
-        planes = dict(zip(names, np.moveaxis(pixels, -1, 0), strict=True))
+        places = [(image_channels("radiance", self.layout), found.image)]
+        places += [(each.light, found.lights[each.name]) for each in self.passes]
+        axes = [1 + axis for axis in FLIPS[self.layout.radiance.flip]]
+        replaced = []
+        for channels, image in places:
+            header, names = find_channels(source, channels)
+            planes = dict(zip(names, np.flip(image[0].numpy(), axes), strict=True))
+            replaced.append(NewPixels(header, planes, self.sequence.window))
         try:
-            replace_channels(source, target, header, planes)
+            replace_channels(source, target, *replaced)
         except ExrHeaderError as error:
             raise SourceError(f"{source}: {error}") from error
         return target
@@ -147,12 +173,14 @@ def find_noisy_sequences(
     needs_motion: bool = True,
     has_memory: bool = True,
     is_static: bool = False,
+    passes: Sequence[str] = (),
 ) -> list[NoisySequence]:
-    """The shots in a folder, or the one of loose images (`rlbench.denoise_loose`), sorted by name.
+    """The shots in a folder, or that of loose images (`rlbench.denoising.loose`), sorted by name.
 
     Loose are a single file, a pattern of files, and what `others` name, by albedo, normal, depth
     or motion. Of a piece `frames` of a shot, a method with a memory also reads up to `warm_up`
-    frames before it; without a memory, frames may have gaps. Without `needs_motion`, and where
+    frames before it; without a memory, frames may have gaps. `passes` are denoised beside the image
+    (`rlbench.denoising.passes`). Without `needs_motion`, and where
     nothing moves, no motion is read.
 
     Raises SourceError for files without a mean image in this layout, for several images of one
@@ -186,16 +214,25 @@ def find_noisy_sequences(
     select = partial(
         select_piece, frames=frames, warm_up=warm_up * has_memory, has_gaps=not has_memory
     )
+    overviews = build_sequences(folder, clips, means, _select_some)
     shots = []
-    for sequence, opening in zip(
-        build_sequences(folder, clips, means, select),
-        build_sequences(folder, clips, means, lambda label, numbers: (min(numbers),)),
-        strict=True,
+    for sequence, overview in zip(
+        build_sequences(folder, clips, means, select), overviews, strict=True
     ):
         _check_sequence(sequence, has_motion)
-        piece = add_sky_motion(sequence, means, folder)
-        start = sum(number < frames[0] for number in piece.numbers) if frames else 0
-        shots.append(NoisySequence(folder, piece, means, spp, is_static, start, opening, frames))
+        shot = NoisySequence(
+            folder,
+            add_sky_motion(sequence, means, folder),
+            means,
+            spp,
+            is_static,
+            start=sum(number < frames[0] for number in sequence.numbers) if frames else 0,
+            overview=overview.radiance,
+            frames=frames,
+            passes=find_passes(sequence.radiance[0], passes, means.layer),
+        )
+        _ = shot.primaries  # raises for colours that are not linear
+        shots.append(shot)
     return shots
 
 
@@ -230,6 +267,13 @@ def select_piece(
     earlier = range(first - 1, first - 1 - warm_up, -1)
     before = takewhile(lambda number: number in existing, earlier)
     return (*reversed(tuple(before)), *chosen)
+
+
+def _select_some(_: str, numbers: Iterable[int]) -> tuple[int, ...]:
+    """Up to 8 frames of those there are, evenly spaced."""
+    existing = sorted(set(numbers))
+    count = min(len(existing), MAX_EXPOSURE_FRAMES)
+    return tuple(existing[round(index)] for index in np.linspace(0, len(existing) - 1, count))
 
 
 def _holds_blender(folder: Path, layer: str) -> bool:
@@ -267,7 +311,10 @@ def _as_means(layout: Layout, folder: Path, spp: float | None) -> tuple[Layout, 
         }
         layout = replace(layout, **tables)
     radiance = replace(layout.radiance, samples="separate")
-    return replace(layout, radiance=radiance, reference=_reference(layout)), spp
+    layout = replace(layout, radiance=radiance, reference=_reference(layout))
+    # the image goes back into the same file, all of it where no buffer depends on its width
+    overscan: Any = "cut" if layout.depth and layout.depth.kind == "distance" else "keep"
+    return replace(layout, chromaticities="keep", overscan=overscan), spp
 
 
 def _reference(layout: Layout) -> Reference:

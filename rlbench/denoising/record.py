@@ -69,6 +69,7 @@ class Settings:
     exposure: float
     spp: float | str
     static: bool
+    also: str  # passes
     first_frame: int | None  # that the memory holds; None without a memory
     layout: str  # hash of the convention of the files
 

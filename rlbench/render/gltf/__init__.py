@@ -1,0 +1,1 @@
+"""glTF and GLB files as scenes of Mitsuba, without Blender."""

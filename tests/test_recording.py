@@ -1,0 +1,176 @@
+"""Two forms of one computation: with questions on a CPU, and without where frames are recorded."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+from typing import Any
+
+import pytest
+import torch
+from torch import Tensor
+
+from baselines.accumulate.density import mix_with_uniform
+from rlbench import registry
+from rlbench.benchmark.listing import list_installed
+from rlbench.checks.conformance import MethodUnderTest, run_check
+from rlbench.checks.frame_edits import edit_radiance
+from rlbench.checks.stress.bad_pixel import plant_in_buffer, plant_in_samples
+from rlbench.clips.procedural.clip import procedural_clip
+from rlbench.denoise import read_leaves, replace_leaves
+from rlbench.frames import Frame, GBuffer, Size, StoredPool
+from rlbench.ops.asking import may_ask
+from rlbench.questions import Questions
+from rlbench.run import run_frame
+from rlbench.sampling import BudgetError, allocate_counts
+from rlbench.sanitize import sanitize_frame
+
+SIZE = Size(2, 36, 44)
+CPU = torch.device("cpu")
+ROWS = [
+    *("accumulate/tuned", "dasr", "eaw", "eaw/still", "imcd", "mean", "nppd", "nppd/history"),
+    *("ntas", "ntas/history", "oidn", "oidn/filled", "ours", "ours/latent", "ours/paper", "svgf"),
+]
+
+
+class Unasked(Tensor):
+    """A tensor with values that nobody may ask for; results of its operations are such, too."""
+
+
+def unasked(value: Any) -> Any:
+    return value.clone().as_subclass(Unasked) if isinstance(value, Tensor) else value
+
+
+def plain(value: Tensor) -> Tensor:
+    return value.as_subclass(Tensor)
+
+
+def firefly(radiance: Tensor) -> Tensor:
+    if radiance.ndim < 5:
+        return radiance
+    radiance = radiance.clone()
+    radiance[..., 11, 17] = 60000.0
+    radiance[:, 0, :, 30, 40] = 9000.0
+    return radiance
+
+
+def hard_frames() -> list[Frame]:
+    """Invalid values, fireflies in one image of the batch, and a cut."""
+    frames = list(procedural_clip(3, SIZE, frames=4, cut=3))
+    for name, value in (("albedo", math.nan), ("depth", -1.0), ("motion", math.inf)):
+        frames[1] = plant_in_buffer(frames[1], name, value, 3, 4)
+    frames[1] = plant_in_samples(plant_in_samples(frames[1], math.nan, 6, 8), -5.0, 20, 30)
+    frames[2] = edit_radiance(frames[2], firefly)
+    return frames
+
+
+def without_questions(frame: Frame) -> Frame:
+    assert isinstance(frame.pool, StoredPool)
+    buffers = {name: unasked(buffer) for name, buffer in frame.gbuffer.buffers.items()}
+    pool = StoredPool(unasked(frame.pool.radiance), frame.pool.rounding_seeds)
+    return replace(frame, gbuffer=GBuffer(buffers, frame.gbuffer.static), pool=pool)
+
+
+def test_a_cpu_may_ask_and_a_subclass_of_tensor_may_not():
+    mask = torch.tensor([True])
+    assert may_ask(mask)
+    assert not may_ask(unasked(mask))
+    assert not may_ask(~unasked(mask))
+
+
+@pytest.mark.parametrize("name", ROWS)
+@pytest.mark.parametrize("spp", [0.4, pytest.param(2.0, marks=pytest.mark.slow)])
+def test_a_frame_without_questions_has_the_same_counts_image_and_repairs(name, spp):
+    """Of each frame, from the same state: invalid values, empty pixels, fireflies and a cut."""
+    variant = registry.get_variant(name)
+    method, traits = registry.load_method(name, CPU), variant.traits
+    spp, state = traits.nearest_spp(spp), method.start(SIZE)
+    for frame in hard_frames():
+        asked = sanitize_frame(frame, traits.inputs)
+        leaves = {path: unasked(leaf) for path, leaf in read_leaves(state)}
+        with torch.inference_mode():
+            mute = sanitize_frame(without_questions(frame), traits.inputs)
+            samples, image, after = run_frame(method, mute, replace_leaves(state, leaves), spp)
+            assert not mute.repairs
+            mute.questions.answer()
+            expected, expected_image, state = run_frame(method, asked, state, spp)
+        assert mute.repairs == asked.repairs
+        assert torch.equal(plain(samples.counts), expected.counts)
+        # the suspects of fireflies alone are computed by other loops, within rounding
+        torch.testing.assert_close(plain(image), expected_image, rtol=1e-4, atol=1e-5)
+
+
+@pytest.mark.parametrize("value", [math.nan, math.inf, -1.0])
+def test_an_invalid_density_is_an_error_when_questions_are_answered(value):
+    density, none = torch.ones(1, 1, 8, 9), torch.zeros(1, 1, 8, 9, dtype=torch.int64)
+    density[..., 3, 4] = value
+    with pytest.raises(BudgetError, match="finite|negative"):
+        allocate_counts(density, 72, none, 8, (0,))
+    questions = Questions()
+    counts = allocate_counts(unasked(density), 72, unasked(none), 8, (0,), questions)
+    assert int(plain(counts).sum()) == 72
+    assert plain(counts).amin() >= 0
+    with pytest.raises(BudgetError, match="finite|negative"):
+        questions.answer()
+
+
+def test_a_budget_that_does_not_fit_keeps_within_the_limits_until_the_error():
+    none, questions = unasked(torch.zeros(1, 1, 8, 9, dtype=torch.int64)), Questions()
+    counts = allocate_counts(unasked(torch.ones(1, 1, 8, 9)), 1000, none, 8, (0,), questions)
+    assert plain(counts).amax() == 8
+    with pytest.raises(BudgetError, match="a budget of 1000 samples for 72 pixels does not fit"):
+        questions.answer()
+
+
+@pytest.mark.parametrize("power", [0, 1, 16, 64])
+@pytest.mark.parametrize("spp", [0.1, 1.0, 4.0, 7.9])
+def test_the_budget_is_exact_without_questions(power, spp):
+    density = torch.rand(2, 1, 45, 61, generator=torch.Generator().manual_seed(0)) ** power
+    low, total = torch.zeros(2, 1, 45, 61, dtype=torch.int64), round(spp * 45 * 61)
+    counts = plain(allocate_counts(unasked(density), total, unasked(low), 8, (0, 1)))
+    assert counts.flatten(1).sum(1).tolist() == [total, total]
+    assert counts.amin() >= 0
+    assert counts.amax() <= 8
+
+
+@pytest.mark.parametrize("share", [0.0, 0.01, 0.5, 1.0])
+def test_new_pixels_get_the_same_quantile_without_questions(share):
+    generator = torch.Generator().manual_seed(1)
+    rule, known = (torch.rand(2, 1, 24, 30, generator=generator) for _ in range(2))
+    similarity = (known < share).float()
+    expected = mix_with_uniform(rule, similarity)
+    assert torch.equal(plain(mix_with_uniform(unasked(rule), unasked(similarity))), expected)
+
+
+def test_the_list_marks_rows_that_cannot_be_recorded():
+    rows = {row["name"]: row for row in list_installed("methods")["methods"]}
+    eager = {name for name, row in rows.items() if not row.get("recordable", True)}
+    assert eager == {name for name in rows if name.startswith("oidn-intel")}
+    assert "library" in rows["oidn-intel"]["eager_reason"]
+
+
+def test_a_question_is_named_with_its_line(tmp_path, monkeypatch):
+    monkeypatch.setenv(
+        registry.METHODS_VARIABLE, "faulty=tests.checks.conformance.broken_fixtures:FAMILY"
+    )
+    result = run_check(MethodUnderTest("faulty/asks for a value"), "recordable")
+    assert "broken_fixtures.py:" in result.found
+    assert "eager_reason" in result.remedy
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", ROWS)
+def test_torch_compile_sees_plan_and_denoise_as_one_graph_each(name):
+    traits = registry.get_variant(name).traits
+    method = registry.load_method(name, CPU)
+    first, second = procedural_clip(3, Size(1, 64, 96), frames=2)
+    with torch.no_grad():
+        valid = sanitize_frame(first, traits.inputs)
+        samples, _, state = run_frame(
+            method, valid, method.start(Size(1, 64, 96)), traits.nearest_spp(1.0)
+        )
+        gbuffer = sanitize_frame(second, traits.inputs).gbuffer
+        for function, given in ((method.plan, first.pool.empty()), (method.denoise, samples)):
+            torch._dynamo.reset()
+            explained = torch._dynamo.explain(function)(gbuffer, given, state)
+            assert explained.graph_break_count == 0, explained.break_reasons
