@@ -44,8 +44,9 @@ __all__ = [
 
 DEFAULT_METHOD = "accumulate/intel"
 CLIPPED = f"radiance above {HALF_MAX:g} times display white"
-TILE, OVERLAP = 2048, 128  # pixels: sides of a tile, and what is seen around it; multiples of 32
-FRAME_BYTES, METHOD_BYTES = 300, 1000  # of a pixel, at most
+TILE, OVERLAP = 2048, 128  # pixels: side of a tile, and what is seen around it; multiples of 32
+BLEND = 128  # pixels in which one tile takes over from the other
+FRAME_BYTES, METHOD_BYTES = 250, 1200  # of a pixel, about
 MAX_SLOTS = 8  # of the largest pool that methods were trained with
 Leaf = Tensor | bool | int | float | str | None
 
@@ -145,25 +146,38 @@ def denoise_frame(
 def _denoise_tiles(
     method: Method, gbuffer: GBuffer, samples: Samples, state: State
 ) -> tuple[Tensor, State]:
-    """The image and the state; without a memory, a large frame takes the memory of one tile."""
+    """The image and the state; without a memory, a large frame takes the memory of one tile.
+
+    Tiles are blended, because a method may expose each of them in its own way.
+    """
     n, _, h, w = samples.counts.shape
     if method.traits.temporal or h * w <= TILE**2:
         return method.denoise(gbuffer, samples, state)
-    image = torch.empty_like(samples.radiance[:, 0])
+    image, total = torch.zeros_like(samples.radiance[:, 0]), samples.radiance.new_zeros(h, w)
     for y, x in product(range(0, h, TILE), range(0, w, TILE)):
-        top, left = max(0, y - OVERLAP), max(0, x - OVERLAP)
-        crop = (..., slice(top, y + TILE + OVERLAP), slice(left, x + TILE + OVERLAP))
+        rows, columns = (
+            slice(max(0, start - OVERLAP), min(end, start + TILE + OVERLAP))
+            for start, end in ((y, h), (x, w))
+        )
+        crop = (..., rows, columns)
         buffers = {name: buffer[crop] for name, buffer in gbuffer.buffers.items()}
         drawn = replace(samples, radiance=samples.radiance[crop], counts=samples.counts[crop])
         size = Size(n, *drawn.counts.shape[-2:])
         tile, _ = method.denoise(GBuffer(buffers, gbuffer.static), drawn, method.start(size))
-        core = (..., slice(y - top, y - top + TILE), slice(x - left, x - left + TILE))
-        image[..., y : y + TILE, x : x + TILE] = tile[core]
-    return image, state
+        weight = _ramp(rows, y, total)[:, None] * _ramp(columns, x, total)
+        image[crop] += tile * weight
+        total[crop] += weight
+    return image / total, state
+
+
+def _ramp(side: slice, start: int, like: Tensor) -> Float[Tensor, "*side"]:
+    """Weights along one side of a tile that begins at `start`: 1 inside, 0 far outside."""
+    place = torch.arange(side.start, side.stop, dtype=like.dtype, device=like.device) + 0.5
+    return (0.5 + (TILE / 2 - (place - start - TILE / 2).abs()) / BLEND).clamp(0, 1)
 
 
 def estimate_memory(method: Method, height: int, width: int) -> int:
-    """The memory that a frame takes at most, bytes: its images and the method's networks."""
+    """The memory that a frame takes, about, in bytes: its images and the method's networks."""
     pixels = height * width
     inside = pixels if method.traits.temporal else min(pixels, (TILE + 2 * OVERLAP) ** 2)
     return FRAME_BYTES * pixels + METHOD_BYTES * inside

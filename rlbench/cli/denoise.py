@@ -226,7 +226,7 @@ def _check_memory(name: str, method: Method, shots: Sequence[NoisySequence]) -> 
     sizes = [(shot.sequence.height, shot.sequence.width) for shot in shots]
     h, w = max(sizes, key=lambda size: size[0] * size[1])
     needed, free = estimate_memory(method, h, w), available_memory()
-    need = f"frames of {w}x{h} take up to {needed / 2**30:.1f} GB of memory by {name}"
+    need = f"frames of {w}x{h} take about {needed / 2**30:.1f} GB of memory by {name}"
     if free is not None and needed > free:
         hint = f"; -m {DEFAULT_ALONE} works in tiles" * method.traits.temporal
         raise DenoiseError(f"{need}, and {free / 2**30:.1f} GB are free{hint}")

@@ -5,8 +5,8 @@ scaled, in each pixel and channel, so that their sum is the denoised image; the 
 named part counts as one more, which is not written. So each part costs one denoising.
 
 Renderers divide the light of surfaces by their colour: Blender's DiffDir times DiffCol is a part.
-Where a colour is black its part has no light, so light that is blurred onto such a pixel is in the
-parts without a colour, or in none.
+Where a colour is black (below 0.001) its part has no light, so light that is blurred onto such a
+pixel is in the parts without a colour, or in none.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from pathlib import Path
 
 import numpy as np
 import torch
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 from torch import Tensor
 
 from rlbench.clips.exr import Window
@@ -41,6 +41,8 @@ COLOURS = (  # the colour that Blender divides a pass by, 4.x and 5.x
 )
 IMAGE, REST = "image", "rest"  # beside the names of passes
 MAX_EXCESS = 0.05  # of the image's light, that parts may have more than the image has
+ROUNDING = 0.01  # of the image, that halves of light, colour and image make
+BLACK = 1e-3  # colours below have no light: the quotient would exceed a half number
 FAINT = 1e-6  # weight of noisy light against denoised light, which counts where that is black
 
 
@@ -77,6 +79,11 @@ class Part:
     def is_divided(self) -> bool:
         """Whether the light has a colour of its own."""
         return self.colour.shape != (1, 3, 1, 1)
+
+    @property
+    def is_lit(self) -> Bool[Tensor, "n 3 #h #w"]:
+        """Where the colour can be divided by."""
+        return self.colour >= BLACK
 
     @property
     def radiance(self) -> Float[Tensor, "n 3 h w"]:
@@ -157,7 +164,8 @@ def denoise_parts(
     if not parts:
         return DenoisedParts(result.image, {}, {IMAGE: result.state}, result.repairs)
     noisy = {name: part.radiance for name, part in parts.items()}
-    noisy[REST] = _find_rest(frame.mean, noisy)
+    if (rest := _find_rest(frame.mean, noisy)) is not None:
+        noisy[REST] = rest
     found = {
         name: denoise_frame(method, replace(frame, mean=light), states.get(name), exposure, device)
         for name, light in noisy.items()
@@ -167,18 +175,21 @@ def denoise_parts(
     }
     for name, part in parts.items():
         fallback = 0 if part.is_divided else FAINT**2
-        weights[name] = (weights[name] + fallback) * (part.colour > 0)
+        weights[name] = (weights[name] + fallback) * part.is_lit
     total = sum(weights.values(), torch.full_like(frame.mean, torch.finfo(torch.float32).tiny))
     lights = {
-        name: torch.where(part.colour > 0, result.image * weights[name] / total / part.colour, 0)
+        name: torch.where(part.is_lit, result.image * weights[name] / total / part.colour, 0)
         for name, part in parts.items()
     }
     states = {IMAGE: result.state, **{name: each.state for name, each in found.items()}}
     return DenoisedParts(result.image, lights, states, result.repairs)
 
 
-def _find_rest(mean: Tensor, parts: Mapping[str, Tensor]) -> Tensor:
-    """The light of the image that is in no part. Raises DenoiseError for parts that have more."""
+def _find_rest(mean: Tensor, parts: Mapping[str, Tensor]) -> Tensor | None:
+    """The light of the image that is in no part, if it is more than parts were rounded by.
+
+    Raises DenoiseError for parts that have more light than the image.
+    """
     mean = mean.nan_to_num(0, 0, 0).clamp_min(0)
     difference = mean - sum(parts.values(), torch.zeros_like(mean))
     excess = float(-difference.clamp_max(0).sum()) / max(float(mean.sum()), FAINT)
@@ -188,7 +199,8 @@ def _find_rest(mean: Tensor, parts: Mapping[str, Tensor]) -> Tensor:
             "are no parts of it. Two may be the same light, or a light may need its colour: --also "
             "'LIGHT*COLOUR'"
         )
-    return difference.clamp_min(0)
+    is_rounding = difference <= ROUNDING * (mean + ROUNDING * mean.mean())
+    return None if is_rounding.all() else difference.clamp_min(0)
 
 
 def _to_tensor(pixels: Pixels) -> Float[Tensor, "1 3 h w"]:
