@@ -46,7 +46,7 @@ DEFAULT_METHOD = "accumulate/intel"
 CLIPPED = f"radiance above {HALF_MAX:g} times display white"
 TILE, OVERLAP = 2048, 128  # pixels: side of a tile, and what is seen around it; multiples of 32
 BLEND = 128  # pixels in which one tile takes over from the other
-FRAME_BYTES, METHOD_BYTES = 250, 1200  # of a pixel, about
+FRAME_BYTES, METHOD_BYTES = 150, 1200  # of a pixel, about
 MAX_SLOTS = 8  # of the largest pool that methods were trained with
 Leaf = Tensor | bool | int | float | str | None
 

@@ -148,7 +148,7 @@ class NoisySequence:
         source, target = self.sequence.radiance[index], self.output(index, out)
         places = [(image_channels("radiance", self.layout), found.image)]
         places += [(each.light, found.lights[each.name]) for each in self.passes]
-        axes = [1 + axis for axis in FLIPS[self.layout.radiance.flip]]
+        axes = tuple(1 + axis for axis in FLIPS[self.layout.radiance.flip])
         replaced = []
         for channels, image in places:
             header, names = find_channels(source, channels)

@@ -125,9 +125,9 @@ def match_loose_images(
     """
     base = layout or _guess_layout(radiance, radiance.layer or layer)
     tables: dict[str, Any] = dict.fromkeys((*base.images, "camera"))
-    for name, image in base.images.items():
-        if set(image.patterns) & set(base.radiance.patterns):
-            tables[name] = replace(image, files=radiance.pattern)
+    for name, table in base.images.items():
+        if set(table.patterns) & set(base.radiance.patterns):
+            tables[name] = replace(table, files=radiance.pattern)
     for name, image in others.items():
         tables[name] = _table(name, getattr(layout, name, None), image)
     tables["reference"] = Reference(files=radiance.pattern)  # which every layout has

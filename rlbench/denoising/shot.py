@@ -82,7 +82,8 @@ def denoise_sequence(
         summary = DenoisingSummary()
         record = shot.open_record(label, exposure, summary.notes)
         unfinished = [i for i in range(len(noisy)) if not shot.is_finished(record, i)]
-        start, states = len(noisy), dict[str, State]()
+        states: Mapping[str, State] = {}
+        start = len(noisy)
         if unfinished and method.traits.temporal:
             start, states = shot.restore(record, unfinished[0])
             unfinished = list(range(unfinished[0], len(noisy)))
