@@ -96,8 +96,6 @@ def find_passes(path: Path, names: Sequence[str], layer: str = "") -> tuple[Ligh
 
     Raises SourceError for a name that the file does not have, or that stands twice.
     """
-    if twice := [name for name, count in Counter(names).items() if count > 1]:
-        raise SourceError(f"'{twice[0]}' is named twice in --also")
     found = []
     for name in names:
         light, _, colour = (word.strip() for word in name.partition("*"))
@@ -113,6 +111,9 @@ def find_passes(path: Path, names: Sequence[str], layer: str = "") -> tuple[Ligh
         found.append(
             LightPass(light, _channels(light, layer), _channels(colour, layer) if colour else None)
         )
+    counts = Counter(each.name.lower() for each in found)
+    if twice := [each.name for each in found if counts[each.name.lower()] > 1]:
+        raise SourceError(f"the pass '{twice[0]}' is named twice")
     return tuple(found)
 
 

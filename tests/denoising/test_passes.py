@@ -129,7 +129,7 @@ def test_files_of_blender_add_up_within_half_rounding(method, tmp_path, dtype):
     [
         (["Difuse"], "no layer 'Difuse'.*ViewLayer.DiffDir"),
         (["DiffDir*DifCol"], "no layer 'DifCol'"),
-        (["DiffDir", "DiffDir"], "twice"),
+        (["DiffDir", "DiffDir*DiffCol"], "twice"),
     ],
 )
 def test_a_pass_that_is_not_there_is_named(tmp_path, names, message):
