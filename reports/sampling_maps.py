@@ -103,7 +103,7 @@ def find_samples(clip: ShownClip, methods: Sequence[str] = ()) -> SampledFrame:
 
 
 def is_uniform(counts: Floats) -> bool:
-    """Do the samples of two pixels differ by no more than a rounded budget makes them?"""
+    """True if the samples of two pixels differ by no more than a rounded budget makes them."""
     return bool(counts.max() - counts.min() <= 1)
 
 

@@ -95,7 +95,7 @@ def _scene_tables(scores: Scores, rank: pd.DataFrame) -> list[Table]:
 
 
 def _is_constant(rank: pd.DataFrame) -> bool:
-    """Do all of several methods have one value at all budgets?"""
+    """True if several methods have one value at all budgets."""
     return rank["method"].nunique() > 1 and rank["mean"].nunique() == 1
 
 

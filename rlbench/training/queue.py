@@ -326,7 +326,7 @@ def read_status(trainings: Sequence[Training], out: Path) -> list[RowStatus]:
 
 
 def is_running(out: Path) -> bool:
-    """Does a queue run in this folder?"""
+    """True if a queue runs in this folder."""
     process = _read_record(out)["process"]
     return bool(process) and _identify(process[0]) == process
 

@@ -326,7 +326,7 @@ def _configuration(name: str) -> Configuration:
 
 
 def _is_known(name: str) -> bool:
-    """Is this a row of an installed method, with no label of weights or of tiles?
+    """True for a row of an installed method, with no label of weights or of tiles.
 
     No generated frame has tiles without changes.
     """
