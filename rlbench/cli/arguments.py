@@ -249,8 +249,8 @@ def parse_weights(text: str) -> WeightsChoice:
         label, file = "", text
     elif not re.fullmatch(r"[\w+-]+(/[\w+-]+)?", label, re.ASCII):
         raise typer.BadParameter(
-            f"'{label}' is not a method and cannot name rows METHOD@NAME. Use letters, digits, _, + "
-            "and -"
+            f"'{label}' is not a method and cannot name rows METHOD@NAME. Use letters, digits, _, "
+            "+ and -"
         )
     elif (word := label.partition("-")[0]) in RESERVED_LABELS:
         raise typer.BadParameter(
