@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from rlbench.errors import OptionError
+from rlbench.errors import OptionError, names_arguments
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -17,6 +17,7 @@ if TYPE_CHECKING:
 RESULTS = Path("results")
 
 
+@names_arguments
 def decide(
     frame_ms: float,
     sample_ms: float | None = None,
@@ -65,6 +66,7 @@ def decide(
     )
 
 
+@names_arguments
 def compare(
     first: str,
     second: str,

@@ -233,7 +233,8 @@ class CommandGroup(TyperGroup):
             remedy = ""
             if isinstance(error, WriteError) and not isinstance(error, FolderNotWritableError):
                 remedy = f": {write_remedy(error)}"
-            typer.secho(f"error: {error}{remedy}", fg="red", err=True)
+            message = error.command_message or error
+            typer.secho(f"error: {message}{remedy}", fg="red", err=True)
             raise SystemExit(2) from error
 
 

@@ -248,7 +248,11 @@ Repeats = Annotated[
 ]
 LimitFrames = Annotated[
     int | None,
-    option(MEASUREMENT, "measure only the first frames of each clip, for a trial run", min=1),
+    option(
+        MEASUREMENT,
+        "measure only the first frames of each clip, for a trial run, and render no others",
+        min=1,
+    ),
 ]
 
 # training

@@ -124,6 +124,7 @@ def find_sources(
     by_preset: dict[str, set[str]] = {}
     for each in kept:
         by_preset.setdefault(each.cell.key.preset, set()).add(each.cell.key.clip)
+    longest = max(map(len, kept), default=None)  # no frame is rendered that no image shows
     if strangers := by_preset.pop("", None):
         raise OptionError(
             f"the preset of {', '.join(sorted(strangers))} is not known; name the folder with "
@@ -133,7 +134,9 @@ def find_sources(
     return [
         source
         for preset, own in sorted(by_preset.items())
-        for source in select_clips(None, sorted(own), preset, pool_kinds=pools)
+        for source in select_clips(
+            None, sorted(own), preset, pool_kinds=pools, limit_frames=longest
+        )
     ]
 
 
