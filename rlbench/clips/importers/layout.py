@@ -183,9 +183,8 @@ class Layout:
     frames_per_second: float = 24.0
     renderer: str = "unknown"
     layer: str = ""
-    # not in repr, which tells one import from another
-    chromaticities: Literal["convert", "keep"] = dataclasses.field(default="convert", repr=False)
-    overscan: Literal["cut", "keep"] = dataclasses.field(default="cut", repr=False)
+    chromaticities: Literal["convert", "keep"] = "convert"
+    overscan: Literal["cut", "keep"] = "cut"
 
     @property
     def images(self) -> dict[str, Image]:
