@@ -76,7 +76,7 @@ def compare(
     metric: str = "psnr",
     device: str = "",
 ) -> Comparison:
-    """Does row `first` of the results lead row `second`, and how sure is that?
+    """Whether row `first` of the results leads row `second`, and how sure that is.
 
     `rows` are results as `run` returns them; by default those in `folder` are read. The answer has
     the paired difference of each budget with its interval. Raises RlbenchError for a row that the

@@ -198,7 +198,7 @@ RowBudgets = Annotated[
     Budgets | None, budgets("budgets of the results in samples per pixel; default: all")
 ]
 ShownBudgets = Annotated[
-    Budgets | None, budgets("budgets whose images are shown; default: the one nearest to 1 spp")
+    Budgets | None, budgets("budgets whose images are shown; default: one of them")
 ]
 Metric = Annotated[
     str,

@@ -79,10 +79,12 @@ def find_images(
     rows: pd.DataFrame,
     clips: list[Path] | None = None,
     spp: Collection[float] | None = None,
+    near: float = 1.0,
 ) -> tuple[ShownClips, str]:
     """The clips of `rows` with their kept images, not read yet, or the reason why there are none.
 
-    Raises OptionError for a budget in `spp` without images; the default is that nearest to 1 spp.
+    Raises OptionError for a budget in `spp` without images; the default is the one nearest to
+    `near`, in ratio.
     """
     from rlbench.benchmark.cell_images import list_images
     from rlbench.benchmark.shown_clips import ShownClips, find_shown_clips
@@ -102,9 +104,9 @@ def find_images(
         sources = find_sources(kept, clips)
     except OptionError as error:
         return ShownClips(), str(error)
-    from reports.analysis.rows import nearest_to_one
+    from reports.analysis.rows import nearest_budget
 
-    budgets = spp or (nearest_to_one(known),)
+    budgets = spp or (nearest_budget(known, near),)
     return find_shown_clips(results, sources, methods, budgets), ""
 
 
