@@ -12,9 +12,8 @@ __all__ = ["OptionError", "PluginError", "RlbenchError", "names_arguments"]
 
 P = ParamSpec("P")
 T = TypeVar("T")
-COMMAND = re.compile(
-    r"(`[^`]*`|\brlbench [a-z](?:(?![.,;)](?:\s|$)).)*)"
-)  # that a message proposes
+# a command that a message proposes, up to the end of its clause
+COMMAND = re.compile(r"(`[^`]*`|\brlbench [a-z](?:(?![.,;)](?:\s|$)).)*)")
 OPTION = re.compile(
     r"^--(?P<first>[a-z-]+) (?P<text>(?:(?!\. )[^:])+)(?=: )"  # what is wrong, at the beginning
     r"|(?<![\w-])--(?P<name>[a-z-]+)(?: (?P<value>\S+?)(?=[.,;:)](?:\s|$)|$))?"  # ends a clause

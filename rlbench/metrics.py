@@ -73,9 +73,9 @@ def score(
 
     An image is a torch tensor [c h w], a NumPy array [h w c] or [h w], or an EXR, PFM or PNG file;
     several of one size are a tensor [n c h w], an array [n h w c], or a list. c is 3, or 1 for
-    grey. Scores are computed in float32, without gradients. Values are linear radiance: EXR and PFM
-    are read as they are, in Rec. 709, PNG as 8-bit sRGB that is decoded. A pixel that is NaN or
-    infinite has the largest error that a display can show; references must be finite.
+    grey. Values are linear radiance: EXR and PFM are read as they are, in Rec. 709, PNG as 8-bit
+    sRGB that is decoded. A pixel that is NaN or infinite has the largest error that a display can
+    show; references must be finite. Scores are computed in float32, without gradients.
 
     Args:
         image: the image, or several.

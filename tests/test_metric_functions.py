@@ -39,7 +39,7 @@ def pair():
     return (reference + noise).clip(0, 1), reference
 
 
-def test_psnr_and_ssim_are_those_of_scikit_image(pair):
+def test_psnr_and_ssim_are_those_of_scikit_image(pair, tmp_path):
     image, reference = pair
     linear = {"convention": "linear"}
     expected = peak_signal_noise_ratio(reference, image, data_range=1)
@@ -58,6 +58,10 @@ def test_psnr_and_ssim_are_those_of_scikit_image(pair):
     expected = peak_signal_noise_ratio(*bytes_of_pair, data_range=255)
     found = metrics.psnr(*bytes_of_pair, data_range=255, **linear)
     assert found == pytest.approx(expected, abs=1e-4)
+    files = [tmp_path / "i.png", tmp_path / "r.png"]  # decoded, and encoded again
+    for file, values in zip(files, bytes_of_pair, strict=True):
+        Image.fromarray(values).save(file)
+    assert metrics.psnr(*files) == pytest.approx(expected, abs=1e-4)
 
 
 def test_tensors_arrays_files_and_batches_have_the_same_values(pair, tmp_path):

@@ -105,7 +105,7 @@ def score(
     ] = "",
     plugin: options.Plugins = None,
 ) -> None:
-    """Score images made elsewhere, and add them as rows; or print the scores of one file.
+    """Score images made elsewhere as rows, or compare two files.
 
     With a FOLDER: one image a frame, at the size of the clip, numbered in its names: EXR or PFM
     with the linear radiance of the clip's files (rlbench export writes what a denoiser reads), or
