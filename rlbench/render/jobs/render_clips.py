@@ -231,9 +231,13 @@ def _estimate(jobs: list[Job], executor: Executor) -> str:
     seconds = paths_to_trace / (preset.size[0] * preset.size[1]) * trial_ms / 1e3
     at_most = "at most " if preset.max_reference_rounds > 1 else ""
     alone = f" on this machine alone; {executor.description}" if executor.description else ""
-    part = f"the first {jobs[0].frames} frames of " * (jobs[0].frames < preset.frames)
+    frames, clips = (
+        f"{count} {name}{'s' * (count > 1)}"
+        for count, name in ((jobs[0].frames, "frame"), (len(jobs), "clip"))
+    )
+    part = f"{frames} of " * (jobs[0].frames < preset.frames)
     return (
-        f"rendering {part}{len(jobs)} clips of preset {preset.name} with {select_variant()} "
+        f"rendering {part}{clips} of preset {preset.name} with {select_variant()} "
         f"to {jobs[0].folder.parent}: {at_most}{paths_to_trace / 1e6:.0f} million light paths, "
         f"about {format_duration(seconds)}{alone}. "
         "If interrupted, the same command resumes it"
