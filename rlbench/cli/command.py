@@ -94,13 +94,13 @@ class Command(TyperCommand):
 
     @property
     def takes_bare_methods(self) -> bool:
-        """Are words without an option methods?"""
+        """True if words without an option are methods."""
         has_argument = any(each.param_type_name == "argument" for each in self.params)
         return not has_argument and any(each.name == "methods" for each in self.params)
 
     @property
     def takes_results(self) -> bool:
-        """Has it the option --results, so that a folder among the words is its value?"""
+        """True if the command has --results, so that a folder among the words is its value."""
         return any(
             each.name == "results" and each.param_type_name == "option" for each in self.params
         )

@@ -54,15 +54,6 @@ def denoise(
     ] = None,
     albedo: Images = None,
     normal: Images = None,
-    depth: Images = None,
-    motion: Annotated[
-        str | None,
-        option(
-            CLIPS,
-            "its files: pixels to the frame before, x right, y down (others: --layout)",
-            value="FILES",
-        ),
-    ] = None,
     also: Annotated[
         str | None,
         option(
@@ -70,27 +61,6 @@ def denoise(
             "passes or light groups of the same files, which add up to the image: Emit,Volume or "
             "LIGHT*COLOUR; Blender's DiffDir finds its DiffCol",
             value="PASS,...",
-        ),
-    ] = None,
-    layout: Annotated[
-        str,
-        option(
-            CLIPS,
-            "blender, falcor, unreal, mitsuba, oidn or a TOML file, as in rlbench import; "
-            "default: Blender's passes where files have them, else R, G, B",
-            "--layout",
-            "--format",
-            value="NAME|FILE",
-        ),
-    ] = "",
-    spp: Annotated[
-        float | None,
-        option(
-            CLIPS,
-            "samples per pixel of each image; default: as its file says, else "
-            f"{UNKNOWN_SPP} is taken",
-            value="SPP",
-            min=1.0,
         ),
     ] = None,
     frames: Annotated[
@@ -105,6 +75,36 @@ def denoise(
             min=0,
         ),
     ] = WARM_UP,
+    spp: Annotated[
+        float | None,
+        option(
+            CLIPS,
+            "samples per pixel of each image; default: as its file says, else "
+            f"{UNKNOWN_SPP} is taken",
+            value="SPP",
+            min=1.0,
+        ),
+    ] = None,
+    layout: Annotated[
+        str,
+        option(
+            CLIPS,
+            "blender, falcor, unreal, mitsuba, oidn or a TOML file, as in rlbench import; "
+            "default: Blender's passes where files have them, else R, G, B",
+            "--layout",
+            "--format",
+            value="NAME|FILE",
+        ),
+    ] = "",
+    depth: Images = None,
+    motion: Annotated[
+        str | None,
+        option(
+            CLIPS,
+            "its files: pixels to the frame before, x right, y down (others: --layout)",
+            value="FILES",
+        ),
+    ] = None,
     static: Annotated[
         bool, options.flag(CLIPS, "--static", "nothing moves; no motion vectors are read")
     ] = False,

@@ -60,7 +60,7 @@ def test_other_sizes_are_refused(text):
 @pytest.mark.parametrize("text", ["0", "-1", "nan", "inf", "much"])
 def test_numbers_that_are_not_positive_are_refused(text):
     assert arguments.parse_positive("0.5") == 0.5
-    with pytest.raises(typer.BadParameter, match="no number above 0"):
+    with pytest.raises(typer.BadParameter, match="not a number above 0"):
         arguments.parse_positive(text)
 
 

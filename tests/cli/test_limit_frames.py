@@ -27,7 +27,7 @@ def cache(tmp_path_factory):
     cache = tmp_path_factory.mktemp("limit")
     with pytest.MonkeyPatch.context() as patch:
         patch.setenv("RLBENCH_CACHE", str(cache / "cache"))
-        assert "the first 2 frames of 1 clips" in rlbench(
+        assert "2 frames of 1 clip of" in rlbench(
             *RUN, "--limit-frames", 2, "--out", cache / "trial"
         )
         clip = paths.clips_folder() / "tiny-32x24" / "temple"

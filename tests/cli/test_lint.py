@@ -18,7 +18,7 @@ def ensured(monkeypatch):
     """The calls that would render clips of presets."""
     calls = []
 
-    def ensure(preset, scenes, seeds, executor):
+    def ensure(preset, scenes, seeds, executor, limit_frames):
         calls.append((preset, scenes, seeds))
         return []
 
