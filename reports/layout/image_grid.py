@@ -28,8 +28,8 @@ def draw_picture(axes: Axes, radiance: Floats, title: str = "") -> AxesImage:
     for spine in axes.spines.values():
         spine.set_visible(False)
     axes.set_title(title, fontsize=10.5, pad=4)
-    shown = np.where(finite[..., None], display, NONFINITE_COLOUR)
-    return axes.imshow(shown, interpolation="nearest")
+    pixels = np.where(finite[..., None], display, NONFINITE_COLOUR)
+    return axes.imshow(pixels, interpolation="nearest")
 
 
 def add_caption(figure: Figure, caption: str) -> None:
