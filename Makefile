@@ -25,7 +25,7 @@ TABLE1 := $(CLAIMED),ours/flat,imcd,imcd/history,ntas,ntas/history,nppd,nppd/his
 BUDGETS := 0.01,0.1,0.3,0.5,1,2,4
 
 # published denoisers, with their own history and with that of ours
-PUBLISHED := imcd,imcd/history,ntas,ntas/history,nppd,nppd/history,svgf,oidn/retrained
+PUBLISHED := imcd,imcd/history,ntas,ntas/history,nppd,nppd/history,svgf,bmfr,cross,oidn/retrained
 
 # rows of the page of unseen scenes: rules, learning and what both are compared with
 UNSEEN := $(CONTROLS),ours/A1,ours/latent-A2,oidn-intel,ours/paper,$(PUBLISHED)
@@ -41,24 +41,22 @@ EIGHT := accumulate/tuned,ours/by-rule,ours/A2,ours,oidn,oidn/tuned,accumulate/c
 TAKES := $(RIVALS),ours/lag,$(PUBLISHED)
 
 # rows with a memory, with and without a test of their history, and two without
-RECOVERING := ours,ours/lag,ours/latent,accumulate/contrast,accumulate/tuned,oidn/tuned,oidn-intel,imcd,imcd/history,ntas,ntas/history,nppd,nppd/history,svgf
+RECOVERING := ours,ours/lag,ours/latent,accumulate/contrast,accumulate/tuned,oidn/tuned,oidn-intel,imcd,imcd/history,ntas,ntas/history,nppd,nppd/history,svgf,bmfr
 
 # rows whose images of scenes by others are shown
 PAINTED := accumulate/contrast,oidn,ours,accumulate/tuned
 
-# rows beside `cross` on the page of rivals that need no training data
-REGRESSIONS := bmfr,svgf,oidn,ours
+# rivals that need no training data, and rows beside them
+REGRESSIONS := bmfr,bmfr/filled,cross,cross/pilots,cross/contrast,cross/frozen,svgf,oidn,ours
 
-# learned rows near the front, in all backends
-SPEED := oidn-intel,oidn/tuned,accumulate/contrast,ours,ours/latent,ntas,svgf
+# learned rows near the front, in all backends, and rivals without training data
+SPEED := oidn-intel,oidn/tuned,accumulate/contrast,ours,ours/latent,ntas,svgf,bmfr,cross
 
 # rows of the picture of the viewer
 VIEWED := mean,svgf,imcd,ntas,oidn,oidn/tuned,accumulate/contrast,ours,ours/latent
 
 
 BASELINE := rlbench/benchmark/regression/baselines/mini.json
-
-comma := ,
 
 # $(call page,REPORT [OPTIONS],RESULTS,NAME): write a report as the page docs/results/NAME.md
 define page
@@ -142,11 +140,15 @@ takes: .venv/dev.stamp
 	$(BIN)/rlbench run -m '$(TAKES)' --preset takes --spp 0.5,1,2,4 --scores-only --out $(RESULTS)/takes
 	$(call page,clips -m '$(TAKES)',$(RESULTS)/takes,takes)
 
-# rivals that fit or learn on the frames themselves: 15 minutes of rendering, ten of scoring
+# rivals that fit or learn on the frames themselves: half an hour of rendering, as long for scoring
 regressions: .venv/dev.stamp
-	$(BIN)/rlbench run -m '$(REGRESSIONS)' --preset mini --spp 1,2,4 --scores-only --out $(RESULTS)/regressions
-	$(BIN)/rlbench run -m cross --preset mini --spp 2 --scores-only --out $(RESULTS)/regressions
-	$(call page,summary -m 'cross$(comma)$(REGRESSIONS)',$(RESULTS)/regressions,regression-rivals)
+	set -e; for preset in mini takes; do \
+	  $(BIN)/rlbench run -m '$(REGRESSIONS)' --preset $$preset --spp 1,2,4 --scores-only --keep-images --out $(RESULTS)/regressions-$$preset; \
+	  $(BIN)/rlbench evaluate $(RESULTS)/regressions-$$preset --preset $$preset --metrics psnr,rel_l2; \
+	  $(BIN)/rlbench report last-frames --results $(RESULTS)/regressions-$$preset/evaluated --out docs/made/$$preset; \
+	done
+	sed '1s/.*/# Rivals without training data\n\n#&/' docs/made/takes/last-frames.md > docs/results/regression-rivals.md
+	sed '1s/.*/\n#&/' docs/made/mini/last-frames.md >> docs/results/regression-rivals.md && rm -r docs/made
 
 # scenes by others: does the order of our presets hold, and who paints blotches on walls
 real: .venv/dev.stamp
