@@ -179,6 +179,14 @@ def test_a_lamp_that_reflects_does_not_light_the_wall_around_it():
     torch.testing.assert_close(image[lamp], radiance[lamp])
 
 
+def test_a_point_far_away_leaves_the_fit_finite():
+    depth = torch.full((1, 1, 32, 32), 5.0)
+    depth[..., 7, 9] = 1e30
+    features = stack_features(torch.ones(1, 3, 32, 32) / 3**0.5, depth)
+    light, surface = random_tensor(1, 3, 32, 32), depth > 0
+    assert fit_blocks(light, features, surface, torch.tensor([0]), noise=0.01).isfinite().all()
+
+
 def test_antialiasing_is_that_of_loops_and_keeps_what_is_new():
     image, previous = random_tensor(1, 3, 9, 11), random_tensor(1, 3, 9, 11, seed=1)
     valid = random_tensor(1, 1, 9, 11, seed=2) > 0.5
