@@ -19,7 +19,6 @@ from itertools import combinations
 from pathlib import Path
 
 import msgspec
-import numpy as np
 import pandas as pd
 
 from reports.analysis.differences import (
@@ -134,7 +133,7 @@ def compare_order(title: str, scores: Scores) -> Iterator[dict[str, object]]:
             means[means["method"] == each.row].set_index(["scene", "clip"])["value"]
             for each in (better, worse)
         )
-        logs = np.log(one / other).dropna().reset_index()
+        logs = (one / other).dropna().map(math.log).reset_index()
         if logs.empty:
             continue
         ratios = [better.rel_l2[scene] / worse.rel_l2[scene] for scene in better.rel_l2]
@@ -183,7 +182,7 @@ def _order_table(pairs: pd.DataFrame) -> Table:
         "contradicted: on the other; not shown: it includes 1. No verdict where the paper's scenes "
         "disagree. No correction for several pairs."
     )
-    return Table("Order of the paper", caption, ("pair", "paper", *lines), rows)
+    return Table("Order of the paper", caption, ("pair", "paper", *map(str, lines)), rows)
 
 
 def _ratio(row: pd.Series) -> str:
