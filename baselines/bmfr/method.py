@@ -87,12 +87,12 @@ class Bmfr:
     filter; a G-buffer holds no emission, and a lamp of low albedo would spread over its block: a
     loss of 6 to 12 dB in four generated scenes with visible lamps. So a surface with 16 times the
     log-average irradiance of its frame is taken for an emitter (`find_emitters`); this takes
-    fireflies and the brightest sunlit spots along. Dim lamps stay, and lamps that fill little of a pixel: of
-    these, more samples find fewer, so that a larger budget may look worse. Antialiasing works in
-    log transfer before any tone mapping, and starts anew where the previous position is outside.
-    Offsets and noise start anew in a clip all of which lost its history. Noise comes from another
-    hash, in single precision; a ridge of 0.001 per coefficient gives blocks without a surface a
-    solution.
+    fireflies and the brightest sunlit spots along. Dim lamps stay, and lamps that fill little of a
+    pixel: of these, more samples find fewer, so that a larger budget may look worse. Antialiasing
+    works in log transfer before any tone mapping, and starts anew where the previous position is
+    outside. Offsets and noise start anew in a clip all of which lost its history. Noise comes from
+    another hash, in single precision; a ridge of 0.001 per coefficient gives blocks without a
+    surface a solution.
 
     Ours, as in `svgf`: albedo is the mean of 3 x 3 pixels; fireflies are limited; a pixel whose
     mean is not finite keeps its history, or is black; broken history is replaced by a neighbour.
