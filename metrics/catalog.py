@@ -150,6 +150,7 @@ PSNR = Metric(
     f"{_DISPLAY}, at most 100 dB",
     _psnr,
     takes_convention=True,
+    pixelwise=True,
     source="mean squared error of clipped sRGB, the peak of Scardigli et al. 2023 fixed at 1",
 )
 PSNR_DEBIASED = Metric(
@@ -159,6 +160,7 @@ PSNR_DEBIASED = Metric(
     f"{_DISPLAY}, of mean((x-a)(x-b)) with half references, at most 100 dB",
     _psnr_debiased,
     needs_reference_halves=True,
+    pixelwise=True,
     source="this project; halves as in mse_debiased",
 )
 BLOTCHES = Metric(
@@ -179,6 +181,7 @@ MSE = Metric(
     _mse,
     takes_convention=True,
     scored_by_run=False,  # it is psnr without the logarithm
+    pixelwise=True,
     source="mean squared error of clipped sRGB",
 )
 TPSNR = Metric(
@@ -188,6 +191,7 @@ TPSNR = Metric(
     "of the change from frame to frame, not moved; peak 1, clipped sRGB, at most 100 dB",
     _tpsnr,
     previous_frames=1,
+    pixelwise=True,
     source="temporal loss of Chaitanya et al. 2017, as a PSNR",
 )
 SSIM = Metric(
@@ -216,6 +220,7 @@ RELMSE = Metric(
     "lower",
     "linear radiance, per channel, reference^2 + 0.01",
     _relmse,
+    pixelwise=True,
     source="Rousselle, Knaus, Zwicker 2011",
 )
 RELMSE_TRIMMED = Metric(
@@ -224,6 +229,7 @@ RELMSE_TRIMMED = Metric(
     "lower",
     "relmse of radiance over the reference's mean, without the worst 0.1 % of finite pixels",
     _relmse_trimmed,
+    pixelwise=True,
     source="relmse; the trimming and the division are this project's",
 )
 SMAPE = Metric(
@@ -232,6 +238,7 @@ SMAPE = Metric(
     "lower",
     "linear radiance, per channel, |x-r| / (|x| + |r| + 0.01)",
     _smape,
+    pixelwise=True,
     source="Vogels et al. 2018",
 )
 MSE_DEBIASED = Metric(
@@ -241,6 +248,7 @@ MSE_DEBIASED = Metric(
     "linear radiance, mean((x-a)(x-b)) of half references",
     _mse_debiased,
     needs_reference_halves=True,
+    pixelwise=True,
     source="this project: the product of two independent errors",
 )
 BIAS = Metric(
@@ -249,6 +257,7 @@ BIAS = Metric(
     "",
     "linear radiance, (mean of image - mean of reference) / mean of reference; best at 0",
     _bias,
+    pixelwise=True,
     source="relative error of the mean",
 )
 NONFINITE = Metric(
@@ -258,5 +267,6 @@ NONFINITE = Metric(
     "pixels with a NaN or infinite channel",
     _nonfinite,
     needs_reference=False,
+    pixelwise=True,
     source="a count",
 )

@@ -107,6 +107,7 @@ PSNR_LATE = Metric(
     _psnr_late,
     previous_frames=1,
     scores_previous=True,
+    pixelwise=True,
     source="this project: what a missed deadline costs",
 )
 DRIFT = Metric(
@@ -118,6 +119,7 @@ DRIFT = Metric(
     scored_by_run=False,
     whole_clip=True,
     from_psnr=drift,
+    pixelwise=True,
     source="this project: does the memory gather errors?",
 )
 WARPED_ERROR = Metric(

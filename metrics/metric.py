@@ -57,6 +57,8 @@ class Metric:
     # the same score from the PSNR of all frames: a run adds it to the rows of methods with a memory
     from_psnr: Callable[[Sequence[float]], float] | None = None
     needs: tuple[str, ...] = ()  # counts, max_samples, motion: no score of a frame that lacks one
+    # the score is of errors of single pixels, so that it may be that of some pixels in any shape
+    pixelwise: bool = False
     takes_convention: bool = False  # `score` takes `convention=`, of metrics.conventions
     source: str = ""  # author and year of the definition
 

@@ -102,14 +102,14 @@ def _draw_panel(axes: Axes, rows: pd.DataFrame, panel: Panel) -> None:
 
 
 def _is_drawn(rows: pd.DataFrame, column: str) -> pd.Series[bool]:
-    """Is the value known, and does it mean anything?"""
+    """True if the value is known, and means anything."""
     if column == "cosine":
         return rows["cosine"].notna()
     return _has_length(rows) & (rows["has_scale"] | (column == "frames"))
 
 
 def _has_length(rows: pd.DataFrame) -> pd.Series[bool]:
-    """Is the component along the truth larger than its interval?"""
+    """True if the component along the truth is larger than its interval."""
     return rows["scale"].abs() > rows["scale_margin"]
 
 

@@ -14,7 +14,7 @@ from reports.analysis.differences import (
     difference_notes,
     rank_methods,
 )
-from reports.analysis.rows import nearest_to_one, remarks, skip_reasons
+from reports.analysis.rows import nearest_budget, remarks, skip_reasons
 from reports.analysis.scores import HEADLINE, Scores, metrics_with_values
 from reports.layout.page import Section, write_report
 from reports.layout.tables import (
@@ -95,7 +95,7 @@ def _scene_tables(scores: Scores, rank: pd.DataFrame) -> list[Table]:
 
 
 def _is_constant(rank: pd.DataFrame) -> bool:
-    """Do all of several methods have one value at all budgets?"""
+    """True if several methods have one value at all budgets."""
     return rank["method"].nunique() > 1 and rank["mean"].nunique() == 1
 
 
@@ -119,7 +119,7 @@ def _time_tables(scores: Scores, is_brief: bool) -> list[Table]:
         return []
     times = scores.overall.sort_values(["target_spp", "frame_ms", "method"])
     if is_brief:
-        times = times[times["target_spp"] == nearest_to_one(set(times["target_spp"]))]
+        times = times[times["target_spp"] == nearest_budget(set(times["target_spp"]))]
     rows = tuple(
         (row["method"], f"{row['target_spp']:g}", f"{row['mean_spp']:.3g}")
         + tuple(_time_cell(row, column) for column in TIME_COLUMNS)

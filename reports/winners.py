@@ -64,6 +64,8 @@ RATES = {"120 Hz": 1000 / 120, "60 Hz": 1000 / 60, "30 Hz": 1000 / 30, "10 Hz": 
 LABEL_INCHES = 0.13  # of the radius of the largest circle in a region, from which it is labelled
 BOLD_LETTER_INCHES = 0.115  # of a name in a region
 LETTER_INCHES = 0.088  # in the key
+MAX_NAMES, MIN_AREA = 8, 0.02  # of the methods with a colour of their own: share of the map
+OTHERS_COLOUR = "#B9B9B9"
 
 
 def write(
@@ -241,8 +243,8 @@ def draw_winner_map(
     `measured_ms` is the cost of a sample in the results, marked at the vertical axis; `heading`
     says on top what must be known first.
     """
-    visible = [winners.methods[i] for i in np.unique(winners.winner) if i >= 0]
-    colours = method_colours(winners.methods, visible)
+    winners, colours = _merge_small_regions(winners)
+    visible = list(colours)
     figure = Figure(figsize=(WIDTH, HEIGHT))
     longest = max(len(name) for name in [*visible, "tie or not resolved against"])
     right = 1 - (0.65 + LETTER_INCHES * longest) / WIDTH
@@ -263,6 +265,25 @@ def draw_winner_map(
     figure.text(0.012, 0.985, heading, fontsize=11, color=style.BLACK, va="top")
     figure.text(0.012, 0.016, caption, fontsize=9.5, color=style.BLACK, va="bottom")
     return figure
+
+
+def _merge_small_regions(winners: WinnerMap) -> tuple[WinnerMap, dict[str, Any]]:
+    """The map with one region of all methods that have no name of their own, and its colours."""
+    indices, counts = np.unique(winners.winner[winners.winner >= 0], return_counts=True)
+    largest = sorted(zip(counts, indices, strict=True), reverse=True)[:MAX_NAMES]
+    named = [index for count, index in largest if count >= MIN_AREA * counts.sum()]
+    colours: dict[str, Any] = dict(
+        method_colours(winners.methods, [winners.methods[index] for index in named])
+    )
+    if len(named) == len(indices):
+        return winners, colours
+    is_small = ~np.isin(winners.winner, [-1, *named])
+    name = f"{len(indices) - len(named)} others"
+    merged = np.where(is_small, len(winners.methods), winners.winner)
+    return replace(winners, methods=(*winners.methods, name), winner=merged), {
+        **colours,
+        name: to_rgb(OTHERS_COLOUR),
+    }
 
 
 def _set_scales(axes: Axes, winners: WinnerMap) -> None:

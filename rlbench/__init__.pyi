@@ -1,4 +1,5 @@
 # ruff: noqa: TID252 - lazy_loader reads relative imports only
+from . import metrics
 from .benchmark.api import render_clips, report, run
 from .benchmark.listing import list_installed
 from .cli.answers import compare, decide
@@ -40,6 +41,7 @@ __all__ = [
     "list_installed",
     "load_for_inference",
     "load_method",
+    "metrics",
     "open_clip",
     "procedural_clip",
     "render_clips",

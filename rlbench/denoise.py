@@ -12,6 +12,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, field, fields, is_dataclass, replace
+from itertools import product
 from typing import Any
 
 import numpy as np
@@ -36,12 +37,16 @@ __all__ = [
     "denoise",
     "denoise_frame",
     "estimate_exposure",
+    "estimate_memory",
     "read_leaves",
     "replace_leaves",
 ]
 
 DEFAULT_METHOD = "accumulate/intel"
 CLIPPED = f"radiance above {HALF_MAX:g} times display white"
+TILE, OVERLAP = 2048, 128  # pixels: side of a tile, and what is seen around it; multiples of 32
+BLEND = 128  # pixels in which one tile takes over from the other
+FRAME_BYTES, METHOD_BYTES = 150, 1200  # of a pixel, about
 MAX_SLOTS = 8  # of the largest pool that methods were trained with
 Leaf = Tensor | bool | int | float | str | None
 
@@ -129,13 +134,53 @@ def denoise_frame(
     counts = torch.full_like(mean[:, :1], slots, dtype=torch.int64)
     radiance = mean.unsqueeze(1).expand(-1, slots, -1, -1, -1)  # takes no memory
     samples = Samples(radiance, counts, max(frame.spp / slots, 1.0))
-    image, state = method.denoise(valid.gbuffer, samples, state)
+    image, state = _denoise_tiles(method, valid.gbuffer, samples, state)
     valid.questions.answer()
     repairs = valid.repairs
     if count := int(clipped):
         repairs = {**repairs, CLIPPED: count, "radiance": repairs["radiance"] - count}
     repairs = {name: count for name, count in repairs.items() if count}
     return DenoisedFrame((image / exposure).to(frame.mean.device), state, repairs)
+
+
+def _denoise_tiles(
+    method: Method, gbuffer: GBuffer, samples: Samples, state: State
+) -> tuple[Tensor, State]:
+    """The image and the state; without a memory, a large frame takes the memory of one tile.
+
+    Tiles are blended, because a method may expose each of them in its own way.
+    """
+    n, _, h, w = samples.counts.shape
+    if method.traits.temporal or h * w <= TILE**2:
+        return method.denoise(gbuffer, samples, state)
+    image, total = torch.zeros_like(samples.radiance[:, 0]), samples.radiance.new_zeros(h, w)
+    for y, x in product(range(0, h, TILE), range(0, w, TILE)):
+        rows, columns = (
+            slice(max(0, start - OVERLAP), min(end, start + TILE + OVERLAP))
+            for start, end in ((y, h), (x, w))
+        )
+        crop = (..., rows, columns)
+        buffers = {name: buffer[crop] for name, buffer in gbuffer.buffers.items()}
+        drawn = replace(samples, radiance=samples.radiance[crop], counts=samples.counts[crop])
+        size = Size(n, *drawn.counts.shape[-2:])
+        tile, _ = method.denoise(GBuffer(buffers, gbuffer.static), drawn, method.start(size))
+        weight = _ramp(rows, y, total)[:, None] * _ramp(columns, x, total)
+        image[crop] += tile * weight
+        total[crop] += weight
+    return image / total, state
+
+
+def _ramp(side: slice, start: int, like: Tensor) -> Float[Tensor, "*side"]:
+    """Weights along one side of a tile that begins at `start`: 1 inside, 0 far outside."""
+    place = torch.arange(side.start, side.stop, dtype=like.dtype, device=like.device) + 0.5
+    return (0.5 + (TILE / 2 - (place - start - TILE / 2).abs()) / BLEND).clamp(0, 1)
+
+
+def estimate_memory(method: Method, height: int, width: int) -> int:
+    """The memory that a frame takes, about, in bytes: its images and the method's networks."""
+    pixels = height * width
+    inside = pixels if method.traits.temporal else min(pixels, (TILE + 2 * OVERLAP) ** 2)
+    return FRAME_BYTES * pixels + METHOD_BYTES * inside
 
 
 def check_denoises_means(name: str) -> None:

@@ -155,17 +155,40 @@ def test_what_is_installed_is_listed():
 @pytest.mark.parametrize(
     ("options", "message"),
     [
-        ({"scenes": ["nowhere"]}, "no scene nowhere; available: noise"),
-        ({"takes": "all"}, "--takes applies to preset scenes only"),
+        ({"scenes": "nowhere"}, "no scene nowhere; available: noise"),
+        ({"takes": "all"}, "takes= applies to preset scenes only. With clips=, select"),
         ({"pool": "frozen"}, "no pool 'frozen'; available: stored, live"),
         ({"device": "abacus"}, "device abacus cannot be used"),
+        ({"spp": "10"}, "spp='10': give numbers, samples per pixel above 0"),
+        ({"spp": ["1", "0"]}, "spp=['1', '0']: give numbers"),
+        ({"spp": [1, float("nan")]}, "spp=[1, nan]: give numbers"),
+        ({"spp": []}, "spp=[]: give numbers"),
+        ({"spp": 16, "clips": None}, 'spp=16: the clips of preset.*trace more with pool="live"'),
+        ({"seeds": "0,1"}, "seeds='0,1': give numbers, whole numbers from 0 on"),
+        ({"limit_frames": 0}, "limit_frames=0: give a whole number of frames"),
+        ({"retime": "all", "scores_only": True}, "scores_only= scores alone"),
+        ({"plugin": "nowhere.py"}, "no plugin file at .*nowhere.py. A plugin is a Python file"),
+        ({"weights": "random.txt"}, "random.txt"),
     ],
 )
-def test_wrong_arguments_raise_an_error_that_says_what_is_available(
+def test_wrong_arguments_raise_an_error_that_names_them_and_says_what_to_write(
     clips, tmp_path, options, message
 ):
-    with pytest.raises(rlbench.RlbenchError, match=re.escape(message).replace(r"\ ", ".*?")):
+    pattern = re.escape(message).replace(r"\.\*", ".*").replace(r"\ ", ".*?")
+    with pytest.raises(rlbench.RlbenchError, match=pattern) as raised:
         rlbench.run(["mean"], **{"clips": [clips], "out": tmp_path, **options})
+    assert "--" not in str(raised.value).partition("rlbench ")[0]
+
+
+def test_one_budget_one_scene_one_folder_and_one_plugin_need_no_list(clips, tmp_path):
+    plugin = write_plugin(tmp_path / "grey.py", "grey")
+    options = {"scores_only": True, "out": tmp_path / "r", "limit_frames": 2}
+    rows = rlbench.run("grey", plugin=plugin, clips=clips, scenes="noise", spp=2, **options)
+    assert set(rows["method"]) == {"grey"}
+    assert set(rows["target_spp"]) == {2.0}
+    assert set(rows["frame"]) >= {0, 1}
+    assert 2 not in set(rows["frame"])
+    assert "grey" in rlbench.run(["grey"], clips=[clips], spp=[2], **options)["method"].to_list()
 
 
 def test_a_frame_of_a_clip_is_tensors(clips):

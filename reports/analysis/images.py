@@ -57,13 +57,6 @@ def decibels(error: float) -> float:
     return min(float(-10 * np.log10(max(error, 1e-30))), CAP_DB)
 
 
-def luminance(radiance: Floats) -> Floats:
-    """Linear luminance [... h w] of images [... 3 h w], weights of Rec. 709."""
-    weights = np.array(REC_709, np.float32)[:, None, None]
-    summed: Floats = (radiance.astype(np.float32) * weights).sum(axis=-3)
-    return summed
-
-
 def select_images(
     clip: ShownClip, methods: Sequence[str], usual: Sequence[str], at_least: int, at_most: int
 ) -> list[ShownImages]:

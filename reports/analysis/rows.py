@@ -31,13 +31,15 @@ class ReportError(TableError):
     """A results table whose rows cannot be compared in one report."""
 
 
-def nearest_to_one(budgets: Collection[float]) -> float:
-    """The budget nearest to 1 spp in ratio.
+def nearest_budget(budgets: Collection[float], spp: float = 1.0) -> float:
+    """The budget nearest to one of so many samples per pixel, in ratio.
 
-    >>> nearest_to_one({0.5, 4.0})
+    >>> nearest_budget({0.5, 4.0})
     0.5
+    >>> nearest_budget({0.5, 1.0, 4.0}, 2.8)
+    4.0
     """
-    return min(sorted(budgets), key=lambda spp: max(spp, 1 / max(spp, 1e-9)))
+    return min(sorted(budgets), key=lambda each: max(each / spp, spp / max(each, 1e-9)))
 
 
 def family_of(name: str) -> str:

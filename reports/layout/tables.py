@@ -11,7 +11,7 @@ from typing import Any
 import pandas as pd
 
 from reports.analysis.differences import ALL_SCENES, LEADS, TRAILS, VERDICT_NOTE
-from reports.analysis.rows import methods_from_elsewhere, nearest_to_one
+from reports.analysis.rows import methods_from_elsewhere, nearest_budget
 from reports.analysis.scores import Scores
 from rlbench.benchmark.results import WIDE, interval_columns, mark_uncertainty, uncertainty
 
@@ -139,7 +139,7 @@ def rank_rows(records: pd.DataFrame, column: str, direction: str = "higher") -> 
     if counts.empty or not direction:
         return names
     budgets = [float(spp) for spp in counts.index if counts[spp] == counts.max()]
-    at = known[known["target_spp"] == nearest_to_one(budgets)].groupby("method")[column].mean()
+    at = known[known["target_spp"] == nearest_budget(budgets)].groupby("method")[column].mean()
     sign = 1 if direction == "lower" else -1
     return sorted(names, key=lambda name: (name not in at, sign * at.get(name, 0.0), name))
 

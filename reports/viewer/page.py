@@ -22,6 +22,7 @@ from reports.layout.files import finished_file
 from reports.layout.page import describe_clips
 from reports.layout.style import line_styles
 from reports.viewer.data import decision_data, frame_scores, provenance, student_factors, table_data
+from reports.viewer.opening import choose_opening
 from reports.viewer.pictures import MAX_METHODS, pack_clips
 from rlbench.benchmark.results import WIDE
 
@@ -54,12 +55,16 @@ def write(
     for rows in devices.values():
         check_comparable(rows)
     chosen, left_out = _select_methods(clips, results)
+    opening = choose_opening(results)
     data = {
         **_data_of_every_page(describe_clips(results), [*remarks, *left_out]),
         "devices": [
             {"name": name, "decide": decision_data(rows, name), "table": table_data(rows, name)}
             for name, rows in devices.items()
         ],
+        "question": {"sample": opening.sample_ms, "deadline": opening.deadline_ms}
+        if opening
+        else {},
         "student": student_factors(max(results["scene"].nunique(), results["clip"].nunique())),
         "tie_db": TIE_DB,
         "wide": WIDE,

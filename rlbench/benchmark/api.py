@@ -12,10 +12,12 @@
 
 from __future__ import annotations
 
+import math
 import warnings
 from collections.abc import Collection, Iterable
+from numbers import Real
 from pathlib import Path
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING, Any, Literal
 
 import torch
 
@@ -28,7 +30,7 @@ from rlbench.benchmark.run_outcome import RunWarning, judge_run
 from rlbench.benchmark.run_plan import DEFAULT_SPP, RunPlan
 from rlbench.benchmark.runner import CellCallback, measure, read_cells
 from rlbench.clips.stored import find_all_clips
-from rlbench.errors import OptionError
+from rlbench.errors import OptionError, names_arguments
 from rlbench.parallel.executor import LOCAL, Executor
 from rlbench.registry.near_names import unknown_name
 from rlbench.render.jobs.render_clips import render_preset_clips
@@ -42,24 +44,27 @@ if TYPE_CHECKING:
     import pandas as pd
 
 RESULTS = Path("results")
+_NUMBERS = "give numbers, {}: one, or a list such as [{}]"
 
 
+@names_arguments
 def run(
     methods: str | Iterable[str] = ("all",),
     *,
-    spp: Iterable[float] = DEFAULT_SPP,
-    scenes: Iterable[str] = (),
+    plugin: Path | str | Iterable[Path | str] = (),
+    spp: float | Iterable[float] = DEFAULT_SPP,
+    scenes: str | Iterable[str] = (),
     preset: str = "mini",
     size: tuple[int, int] | None = None,
     takes: str | None = None,
-    clips: Iterable[Path | str] | None = None,
+    clips: Path | str | Iterable[Path | str] | None = None,
     pool: str = "stored",
-    seeds: Iterable[int] = (0,),
+    seeds: int | Iterable[int] = (0,),
     device: str = "auto",
     cost: str = costs.MEASURED,
     weights: Path | str | None = None,
     weights_label: str = "",
-    weights_for: Iterable[str] = (),
+    weights_for: str | Iterable[str] = (),
     bf16: bool = False,
     backend: str = EAGER,
     skip_tiles: bool = False,
@@ -73,7 +78,8 @@ def run(
 ) -> pd.DataFrame:
     """Score and time methods on clips; returns the rows of this call, one number a row.
 
-    `methods` is one name or several, or patterns such as `ours`, `oidn/*` or `all`; `spp` are
+    `methods` is one name or several, or patterns such as `ours`, `oidn/*` or `all`; `plugin` is a
+    Python file with methods or metrics, or several, which stay known after the call. `spp` are
     budgets in samples per pixel. Clips are those of a `preset`, at its size or at `size` pixels
     (height, width), all or the given `scenes` and `takes` ("main", "all"), and are rendered where
     they are missing; or those in the folders `clips`.
@@ -86,7 +92,8 @@ def run(
     Results are kept in the folder `out`; cells that it holds already are not measured again.
     `retime` measures the times of cells again whose scores are there, and no scores: those that are
     "uncertain", or "all"; `scores_only`
-    measures no times, and a later call without it measures those that are missing. `keep_images`
+    measures no times, and a later call without it measures those that are missing. With
+    `limit_frames` only the first frames of each clip are rendered and measured. `keep_images`
     keeps the image of each frame in the folder `images` of `out`. `on_cell` is called with each
     finished cell.
 
@@ -96,7 +103,9 @@ def run(
 
     Raises RlbenchError for names, budgets, files or devices that cannot be used.
     """
-    patterns, folder = [methods] if isinstance(methods, str) else list(methods), Path(out)
+    patterns, folder = _as_list(methods), Path(out)
+    for file in _as_list(plugin):
+        registry.use_plugin(file)
     with registry.with_broken(patterns):
         plan = plan_run(
             registry.expand(patterns),
@@ -131,7 +140,7 @@ def run(
         )
         rows = read_cells(plan, folder)
     if not (verdict := judge_run(summary, rows)).has_passed:
-        warnings.warn(f"{verdict}. The column `note` has the reasons", RunWarning, stacklevel=2)
+        warnings.warn(f"{verdict}. The column `note` has the reasons", RunWarning, stacklevel=3)
     return rows
 
 
@@ -139,19 +148,19 @@ def plan_run(
     methods: Iterable[str],
     out: Path,
     *,
-    spp: Iterable[float] = DEFAULT_SPP,
-    scenes: Iterable[str] = (),
+    spp: float | Iterable[float] = DEFAULT_SPP,
+    scenes: str | Iterable[str] = (),
     preset: str = "mini",
     size: tuple[int, int] | None = None,
     takes: str | None = None,
-    clips: Iterable[Path | str] | None = None,
+    clips: Path | str | Iterable[Path | str] | None = None,
     pool: str = "stored",
-    seeds: Iterable[int] = (0,),
+    seeds: int | Iterable[int] = (0,),
     device: str = "auto",
     cost: str = costs.MEASURED,
     weights: Path | str | None = None,
     weights_label: str = "",
-    weights_for: Iterable[str] = (),
+    weights_for: str | Iterable[str] = (),
     bf16: bool = False,
     backend: str = EAGER,
     skip_tiles: bool = False,
@@ -163,7 +172,7 @@ def plan_run(
 
     Raises RlbenchError for names, budgets, files or devices that cannot be used.
     """
-    names, budgets, target = tuple(methods), tuple(map(float, spp)), select_device(device)
+    names, budgets, target = tuple(methods), check_budget_values(spp), select_device(device)
     file = None if weights is None else str(weights)
     selected_backend = select_backend(backend, target)
     check_precision(names, bf16, device, executor)
@@ -171,14 +180,16 @@ def plan_run(
     pool_kinds = {registry.get_variant(name).traits.pool for name in names}
     return RunPlan(
         methods=names,
-        clips=select_clips(clips, scenes, preset, takes, pool, pool_kinds, executor, size),
+        clips=select_clips(
+            clips, scenes, preset, takes, pool, pool_kinds, executor, size, limit_frames
+        ),
         spp=budgets,
-        seeds=tuple(seeds),
+        seeds=check_seeds(seeds),
         device=target,
         cost=cost,
         weights=file,
         weights_label=weights_label,
-        weights_for=tuple(weights_for),
+        weights_for=tuple(_as_list(weights_for)),
         bf16=bf16,
         backend=selected_backend,
         skip_tiles=skip_tiles,
@@ -187,27 +198,36 @@ def plan_run(
     )
 
 
+@names_arguments
 def render_clips(
     preset: str = "mini",
     *,
-    scenes: Iterable[str] = (),
+    scenes: str | Iterable[str] = (),
     takes: str | None = None,
-    seeds: Iterable[int] | None = None,
+    seeds: int | Iterable[int] | None = None,
     size: tuple[int, int] | None = None,
+    limit_frames: int | None = None,
     executor: Executor = LOCAL,
 ) -> list[Path]:
     """Render the missing clips of a preset; returns the folders of all requested clips.
 
     `seeds` are those of generated scenes (presets `train` and `unseen`), `size` is the height and
-    width in pixels where it is not the preset's. Open a folder with
+    width in pixels where it is not the preset's. With `limit_frames` only the first frames of each
+    clip are rendered, and a later call renders the others. Open a folder with
     `rlbench.open_clip`. Raises RlbenchError for an unknown preset, scene or take.
     """
-    chosen = None if seeds is None else tuple(seeds)
     return render_preset_clips(
-        list(scenes), preset, seeds=chosen, takes=takes, executor=executor, size=size
+        _as_list(scenes),
+        preset,
+        seeds=None if seeds is None else check_seeds(seeds),
+        takes=takes,
+        executor=executor,
+        size=size,
+        limit_frames=check_limit(limit_frames),
     )
 
 
+@names_arguments
 def report(
     name: str,
     rows: pd.DataFrame | None = None,
@@ -227,28 +247,36 @@ def report(
 
 
 def select_clips(
-    clips: Iterable[Path | str] | None,
-    scenes: Iterable[str] = (),
+    clips: Path | str | Iterable[Path | str] | None,
+    scenes: str | Iterable[str] = (),
     preset: str = "mini",
     takes: str | None = None,
     pool: str = "stored",
     pool_kinds: Collection[str] | None = None,
     executor: Executor = LOCAL,
     size: tuple[int, int] | None = None,
+    limit_frames: int | None = None,
 ) -> tuple[StoredSource, ...]:
     """The clips in the folders `clips`, or those of a preset, rendered where they are missing.
 
     `size` is the height and width in pixels of a preset's clips. `scenes` selects by the name of a
     scene or a clip. Samples are those that are "stored", or come from a "live" path tracer. Only
-    the preset's pools of the given kinds are rendered; None renders all. Raises RlbenchError where
-    a selection is empty or contradictory.
+    the preset's pools of the given kinds are rendered; None renders all. With `limit_frames` only
+    the first frames of a preset's clips are rendered, and clips in folders stay whole. Raises
+    RlbenchError where a selection is empty or contradictory.
     """
-    selected = list(scenes)
+    selected, limit_frames = _as_list(scenes), check_limit(limit_frames)
     if pool not in POOLS:
         raise OptionError(f"no pool '{pool}'; available: {', '.join(POOLS)}")
     if clips is None:
         folders = render_preset_clips(
-            selected, preset, executor=executor, pool_kinds=pool_kinds, takes=takes, size=size
+            selected,
+            preset,
+            executor=executor,
+            pool_kinds=pool_kinds,
+            takes=takes,
+            size=size,
+            limit_frames=limit_frames,
         )
         return tuple(open_source(folder, pool) for folder in folders)
     if takes is not None or size is not None:
@@ -257,13 +285,49 @@ def select_clips(
             f"{option} applies to preset scenes only. With --clips, select clips by name: "
             "--scenes NAME"
         )
-    sources = [open_source(path, pool) for path in find_all_clips(clips)]
+    sources = [open_source(path, pool) for path in find_all_clips(_as_list(clips))]
     names = {source: {source.header.scene, source.header.name} for source in sources}
     available = sorted(set().union(*names.values()))
     if unknown := [name for name in selected if name not in available]:
         problem = f"the clips show no scene {', '.join(unknown)}"
         raise OptionError(unknown_name(problem, unknown[0], available))
     return tuple(source for source in sources if not selected or names[source] & set(selected))
+
+
+def check_budget_values(spp: float | Iterable[float]) -> tuple[float, ...]:
+    """Different budgets in their order. Raises OptionError unless all are finite and above 0."""
+    given = _as_list(spp)
+    if not given or not all(_is_number(each) and 0 < each < math.inf for each in given):
+        raise OptionError(
+            f"--spp {spp!r}: {_NUMBERS.format('samples per pixel above 0', '0.5, 1')}"
+        )
+    return tuple(dict.fromkeys(map(float, given)))
+
+
+def check_seeds(seeds: int | Iterable[int]) -> tuple[int, ...]:
+    """Different seeds in their order. Raises OptionError unless all are whole numbers from 0 on."""
+    given = _as_list(seeds)
+    if not given or not all(_is_number(each) and each == int(each) >= 0 for each in given):
+        raise OptionError(f"--seed {seeds!r}: {_NUMBERS.format('whole numbers from 0 on', '0, 1')}")
+    return tuple(dict.fromkeys(map(int, given)))
+
+
+def check_limit(frames: int | None) -> int | None:
+    """A limit of frames. Raises OptionError unless it is a whole number above 0."""
+    if frames is not None and not (_is_number(frames) and frames == int(frames) >= 1):
+        raise OptionError(f"--limit-frames {frames!r}: give a whole number of frames, at least 1")
+    return frames
+
+
+def _is_number(value: object) -> bool:
+    return isinstance(value, Real) and not isinstance(value, bool) and math.isfinite(value)
+
+
+def _as_list(values: Any) -> list[Any]:
+    """One value or several as a list; a text is one value."""
+    return (
+        list(values) if isinstance(values, Iterable) and not isinstance(values, str) else [values]
+    )
 
 
 def check_precision(

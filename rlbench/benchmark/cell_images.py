@@ -271,7 +271,7 @@ def find_kept_cells(
         is_selected = not methods or cell.key.method in methods
         images = find_images(folder, cell)
         if images and is_selected and cell.key.clip in by_name:
-            kept.append(KeptCell(cell, images, by_name[cell.key.clip]))
+            kept.append(KeptCell(cell, images, by_name[cell.key.clip].first(len(images))))
     if not kept:
         keys = [images.cell.key for images in list_images(folder)]
         stored_methods, stored_clips = {key.method for key in keys}, {key.clip for key in keys}

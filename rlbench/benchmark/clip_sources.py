@@ -3,20 +3,18 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cache, cached_property
 from hashlib import sha256
-from itertools import islice
 from pathlib import Path
 
 import torch
 
+from rlbench.clips.digest import clip_digest
 from rlbench.clips.header import Header, read_header
-from rlbench.clips.in_memory import ClipWrapper
-from rlbench.clips.stored import open_clip
+from rlbench.clips.stored import StoredClip, open_clip
 from rlbench.family import Traits
-from rlbench.frames import Clip, Frame
+from rlbench.frames import Clip
 from rlbench.render.jobs.live_pool import open_live_clip, scene_of_folder
 from rlbench.render.mitsuba.variant import select_variant
 from rlbench.system import code_hash, provenance
@@ -29,21 +27,29 @@ class StoredSource:
     """A clip folder, format v1, that each cell opens with the traits of its method."""
 
     folder: Path
-    _digests: dict[str, str] = field(default_factory=dict, compare=False, repr=False)  # by pool
+    limit_frames: int | None = None  # the clip ends after so many frames
+    _digests: dict[tuple[str, int], str] = field(
+        default_factory=dict, compare=False, repr=False
+    )  # by pool and number of frames
+
+    def first(self, frames: int | None) -> StoredSource:
+        """The clip that ends after `frames` frames; itself where it has no more."""
+        is_whole = frames is None or frames >= self.header.frames
+        return self if is_whole else replace(self, limit_frames=frames)
 
     @cached_property
     def header(self) -> Header:
-        """The content of clip.toml."""
-        return read_header(self.folder)
+        """The content of clip.toml, of the clip's first frames where they are limited."""
+        return read_header(self.folder).first(self.limit_frames)
 
     def content(self, pool: str) -> str:
         """Hash of the clip with the samples of a pool; without samples if it has no such pool."""
-        if pool not in self._digests:  # a digest reads every file, and every cell needs one
+        key = pool, self.header.frames
+        if key not in self._digests:  # a digest reads every file, and every cell needs one
             opened = pool if pool in self.header.pools else self.header.pools[0]
-            clip = open_clip(self.folder, inputs=frozenset(), max_samples=1, pool=opened)
             missing = "" if opened == pool else f" without {pool}"
-            self._digests[pool] = f"{clip.digest}{missing}"
-        return self._digests[pool]
+            self._digests[key] = f"{clip_digest(self.folder, self.header, opened)}{missing}"
+        return self._digests[key]
 
     @property
     def cost_key(self) -> str:
@@ -56,8 +62,15 @@ class StoredSource:
 
     def open(self, traits: Traits, spp: float, seed: int, device: torch.device) -> Clip:
         """The clip with the buffers and samples that `traits` can use at `spp`."""
-        max_samples = max_samples_needed(traits, spp, self.header.pool_spp)
-        return open_clip(self.folder, traits.inputs, max_samples, traits.pool, seed, device)
+        return self._open(
+            traits, max_samples_needed(traits, spp, self.header.pool_spp), seed, device
+        )
+
+    def _open(
+        self, traits: Traits, max_samples: int, seed: int, device: torch.device
+    ) -> StoredClip:
+        chosen = traits.inputs, max_samples, traits.pool, seed, device
+        return open_clip(self.folder, *chosen, self.limit_frames)
 
 
 @dataclass(frozen=True)
@@ -85,23 +98,7 @@ class LiveSource(StoredSource):
     def open(self, traits: Traits, spp: float, seed: int, device: torch.device) -> Clip:
         """The clip with the buffers that `traits` declare; no stored sample is read."""
         max_samples = max_samples_needed(traits, spp, self.pool_spp(spp))
-        stored = open_clip(self.folder, traits.inputs, max_samples, traits.pool, seed, device)
-        return open_live_clip(stored, max_samples)
-
-
-@dataclass(frozen=True)
-class FirstFrames(ClipWrapper):
-    """A clip of the first frames of another clip, whose digest it has."""
-
-    frames: int
-
-    def __len__(self) -> int:
-        """Number of frames."""
-        return min(self.frames, len(self.clip))
-
-    def __iter__(self) -> Iterator[Frame]:
-        """The first frames in order."""
-        return islice(iter(self.clip), self.frames)
+        return open_live_clip(self._open(traits, max_samples, seed, device), max_samples)
 
 
 @cache

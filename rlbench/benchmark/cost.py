@@ -194,7 +194,7 @@ def _pixels(size: str) -> int:
 
 
 def _is_at_least(minimum: float, value: object) -> bool:
-    """Is it a finite number of at least `minimum`?"""
+    """True for a finite number of at least `minimum`."""
     return isinstance(value, int | float) and minimum <= value < math.inf
 
 

@@ -208,7 +208,7 @@ def select_metrics(names: Iterable[str], conventions: Iterable[str] = ()) -> lis
     an unknown metric and for one whose package is not installed, and OptionError for a convention
     that is unknown or that none of the metrics takes.
     """
-    loaded = {name: _load(name) for name in dict.fromkeys(names)}
+    loaded = {name: load_metric(name) for name in dict.fromkeys(names)}
     requested = list(dict.fromkeys(conventions))
     if requested and not any(metric.takes_convention for metric in loaded.values()):
         raise OptionError(
@@ -238,7 +238,8 @@ def _variants(metric: Metric, conventions: Sequence[str]) -> list[Metric]:
     return variants
 
 
-def _load(name: str) -> Metric:
+def load_metric(name: str) -> Metric:
+    """A metric by name. Raises PluginError for an unknown one, and where its package is missing."""
     metric: Metric = registry.load_or_explain("metrics", name)
     if missing := provenance.missing_packages(metric.requires):
         raise registry.PluginError(

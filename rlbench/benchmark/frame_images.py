@@ -291,7 +291,7 @@ def _draw_differences(
 
 
 def _is_adaptive(method: MethodImage) -> bool:
-    """Do the samples of two pixels differ by more than a rounded budget makes them?"""
+    """True if the samples of two pixels differ by more than a rounded budget makes them."""
     return bool(method.counts.min() < method.counts.max() - 1)
 
 

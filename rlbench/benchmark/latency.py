@@ -339,7 +339,7 @@ def half_width(times: Sequence[float]) -> float:
 
 
 def is_steady(times: Sequence[float], target: float = TARGET) -> bool:
-    """Is the median of these times, in milliseconds, known well enough?"""
+    """True if the median of these times, in milliseconds, is known well enough."""
     if not times:
         return False
     return half_width(times) <= max(FLOOR_MS, target * statistics.median(times))

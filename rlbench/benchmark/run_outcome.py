@@ -115,11 +115,11 @@ def _remarks(rows: pd.DataFrame, folder: Path) -> list[str]:
 
 
 def uncertainty_remark(rows: pd.DataFrame, folder: Path) -> list[str]:
-    """How many rows have uncertain times, why, and the command that mends them; or nothing."""
+    """How many rows have uncertain times, why most have, and the command that mends them."""
     uncertain = rows[rows["metric"].isin(TIMES) & rows["note"].str.startswith(results.UNCERTAIN)]
     if not (count := len(uncertain[["method", "target_spp"]].drop_duplicates())):
         return []
-    reason = uncertain["note"].iloc[0].removeprefix(results.UNCERTAIN).strip()
+    reason = uncertain["note"].mode().iloc[0].removeprefix(results.UNCERTAIN).strip()
     return [
         f"{count} row{'s have' if count > 1 else ' has'} uncertain times, marked ±: {reason}. "
         "When the machine is quiet, measure these again: rlbench run --config "

@@ -16,7 +16,7 @@ import torch
 from rlbench import registry
 from rlbench.backends import EAGER, use_backend
 from rlbench.benchmark.cell_key import CellKey, CellsError
-from rlbench.benchmark.clip_sources import FirstFrames, StoredSource
+from rlbench.benchmark.clip_sources import StoredSource
 from rlbench.benchmark.cost import MEASURED
 from rlbench.benchmark.latency import REPEATS, device_name
 from rlbench.benchmark.results import BF16, CROSSVAL, RESERVED_LABELS, TILES, RowName
@@ -54,6 +54,12 @@ class RunPlan:
     skip_tiles: bool = False  # keep unchanged tiles of local methods, see rlbench.wrappers
     weights_label: str = ""  # label of the rows, to keep several weights of one method apart
     held_out_scene: str = ""  # scene that `weights` were trained without, in a cross-validation
+
+    def __post_init__(self) -> None:
+        """End each clip after `limit_frames`."""
+        if self.limit_frames:
+            clips = tuple(clip.first(self.limit_frames) for clip in self.clips)
+            object.__setattr__(self, "clips", clips)
 
     def check_unique_names(self) -> None:
         """Raise CellsError where two clips have one name: one would replace the other."""
@@ -206,8 +212,7 @@ class CellLoader:
         """
         inputs = cell.traits.inputs | (scored_buffers & set(cell.header.buffers))
         traits = replace(cell.traits, inputs=inputs)
-        clip = cell.clip.open(traits, cell.spp, cell.key.seed, self.plan.device)
-        return FirstFrames(clip, self.plan.limit_frames) if self.plan.limit_frames else clip
+        return cell.clip.open(traits, cell.spp, cell.key.seed, self.plan.device)
 
 
 def build_method(

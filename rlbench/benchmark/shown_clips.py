@@ -84,7 +84,10 @@ def find_shown_clips(
     ):
         if kept.cell.key.target_spp in target_spp:
             first.setdefault(replace(kept.cell.key, seed=0, device=""), kept)
-    images = [tuple(kept.images for kept in first.values() if kept.clip is clip) for clip in clips]
+    images = [
+        tuple(kept.images for kept in first.values() if kept.clip.folder == clip.folder)
+        for clip in clips
+    ]
     kept_by_clip = tuple((clip, own) for clip, own in zip(clips, images, strict=True) if own)
     return ShownClips(kept_by_clip, frozenset(buffers))
 

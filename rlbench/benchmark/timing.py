@@ -253,7 +253,7 @@ class ScatterMeter:
             return Scatter(1.0, f"scattered samples cost as those of a full frame: {reason}")
 
     def has_scene(self, cell: Cell) -> bool:
-        """Is the scene of the cell's clip installed, as the clip was rendered from it?"""
+        """True if the scene of the cell's clip is installed, as the clip was rendered from it."""
         folder = cell.clip.folder
         if folder not in self._has_scene:
             try:
@@ -363,7 +363,7 @@ def _charge_inference(
 
 
 def _is_same_device(first: str, second: str) -> bool:
-    """Are these names of one device, with its threads or cores after the last comma or not?"""
+    """True for names of one device, with its threads or cores after the last comma or not."""
     return first.rpartition(",")[0] == second.rpartition(",")[0] and (
         "," in first or first == second
     )

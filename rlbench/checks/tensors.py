@@ -10,7 +10,7 @@ from torch import Tensor
 
 
 def is_bit_equal(one: Tensor, other: Tensor) -> bool:
-    """Do both have the same shape, type and values, NaN counting as equal to NaN?"""
+    """True if both have the same shape, type and values, NaN counting as equal to NaN."""
     if one.shape != other.shape or one.dtype != other.dtype:
         return False
     return bool(((one == other) | ((one != one) & (other != other))).all())
@@ -42,5 +42,5 @@ def iterate_tensors(value: Any) -> Iterator[Tensor]:
 
 
 def has_graph(value: Any) -> bool:
-    """Does any tensor in a nested value require gradients?"""
+    """True if any tensor in a nested value requires gradients."""
     return any(tensor.requires_grad for tensor in iterate_tensors(value))

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from rlbench.errors import OptionError
+from rlbench.errors import OptionError, names_arguments
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -17,6 +17,7 @@ if TYPE_CHECKING:
 RESULTS = Path("results")
 
 
+@names_arguments
 def decide(
     frame_ms: float,
     sample_ms: float | None = None,
@@ -65,6 +66,7 @@ def decide(
     )
 
 
+@names_arguments
 def compare(
     first: str,
     second: str,
@@ -74,7 +76,7 @@ def compare(
     metric: str = "psnr",
     device: str = "",
 ) -> Comparison:
-    """Does row `first` of the results lead row `second`, and how sure is that?
+    """Whether row `first` of the results leads row `second`, and how sure that is.
 
     `rows` are results as `run` returns them; by default those in `folder` are read. The answer has
     the paired difference of each budget with its interval. Raises RlbenchError for a row that the

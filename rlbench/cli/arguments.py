@@ -173,7 +173,7 @@ def parse_crop(text: str) -> Crop:
 def parse_positive(text: str) -> float:
     """A finite number above 0."""
     if not 0 < (number := _number(text)) < math.inf:
-        raise typer.BadParameter(f"'{text}' is no number above 0")
+        raise typer.BadParameter(f"'{text}' is not a number above 0")
     return number
 
 
@@ -190,7 +190,7 @@ def parse_share(text: str) -> float:
     """A number between 0 and 1, both excluded."""
     if not 0 < (share := _number(text)) < 1:
         raise typer.BadParameter(
-            f"'{text}' is no share. Give a number between 0 and 1, such as 0.5"
+            f"'{text}' is not a share. Give a number between 0 and 1, such as 0.5"
         )
     return share
 
@@ -249,8 +249,8 @@ def parse_weights(text: str) -> WeightsChoice:
         label, file = "", text
     elif not re.fullmatch(r"[\w+-]+(/[\w+-]+)?", label, re.ASCII):
         raise typer.BadParameter(
-            f"'{label}' is no method and cannot name rows METHOD@NAME. Use letters, digits, _, + "
-            "and -"
+            f"'{label}' is not a method and cannot name rows METHOD@NAME. Use letters, digits, _, "
+            "+ and -"
         )
     elif (word := label.partition("-")[0]) in RESERVED_LABELS:
         raise typer.BadParameter(

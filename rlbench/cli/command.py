@@ -233,7 +233,8 @@ class CommandGroup(TyperGroup):
             remedy = ""
             if isinstance(error, WriteError) and not isinstance(error, FolderNotWritableError):
                 remedy = f": {write_remedy(error)}"
-            typer.secho(f"error: {error}{remedy}", fg="red", err=True)
+            message = error.command_message or error
+            typer.secho(f"error: {message}{remedy}", fg="red", err=True)
             raise SystemExit(2) from error
 
 
@@ -271,7 +272,7 @@ def what_is_kept(command: str, parameters: Mapping[str, Any]) -> str:
 
 
 def _is_broken_pipe(error: BaseException) -> bool:
-    """Does an error say that the reader of standard output went away, as in `rlbench list | head`?
+    """True if an error says that the reader of standard output went away: `rlbench list | head`.
 
     `rich` exits on a broken pipe, and has redirected the output by then.
     """
@@ -284,7 +285,7 @@ def _is_broken_pipe(error: BaseException) -> bool:
 
 
 def _is_output_closed() -> bool:
-    """Has the reader of standard output gone away?"""
+    """True if the reader of standard output went away."""
     poll = select.poll()
     try:
         poll.register(sys.__stdout__.fileno() if sys.__stdout__ else 1, select.POLLOUT)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
@@ -11,34 +11,84 @@ from rlbench.cli import options
 from rlbench.cli.methods import load_plugins
 from rlbench.cli.options import CLIPS, METHODS, complete_methods, number, option
 
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from rlbench.denoising.files import NoisySequence
+    from rlbench.method import Method
+
+DEFAULT_METHOD = "accumulate/intel"  # of frames with motion vectors
+DEFAULT_ALONE = "oidn"  # of one image, and of frames that do not belong together
+LARGE = 2**31  # bytes of memory that are worth a note
+WARM_UP, UNKNOWN_SPP = 16, 8  # those of rlbench.denoising.files, which imports torch
+
+
+Images = Annotated[
+    str | None,
+    option(CLIPS, "its files, where they are not in those of SEQUENCE", value="FILES"),
+]
+
 
 def denoise(
     source: Annotated[
-        Path,
-        typer.Argument(metavar="SEQUENCE", exists=True, help="folder of frames, or one image"),
+        str,
+        typer.Argument(
+            metavar="SEQUENCE",
+            help="a folder of frames, one image, or a pattern of names such as color.####.exr",
+        ),
     ],
     out: Annotated[
         Path, option(None, "folder of the images", "--out", "-o", value="FOLDER", file_okay=False)
     ],
     method: Annotated[
-        str,
-        option(METHODS, "the row", "--method", "-m", value="NAME", complete=complete_methods),
-    ] = "accumulate/intel",
+        str | None,
+        option(
+            METHODS,
+            f"the row; default: {DEFAULT_METHOD}, or {DEFAULT_ALONE} for one image and for frames "
+            "without motion vectors or with gaps",
+            "--method",
+            "-m",
+            value="NAME",
+            complete=complete_methods,
+        ),
+    ] = None,
+    albedo: Images = None,
+    normal: Images = None,
+    depth: Images = None,
+    motion: Annotated[
+        str | None,
+        option(
+            CLIPS,
+            "its files: pixels to the frame before, x right, y down (others: --layout)",
+            value="FILES",
+        ),
+    ] = None,
+    also: Annotated[
+        str | None,
+        option(
+            CLIPS,
+            "passes or light groups of the same files, which add up to the image: Emit,Volume or "
+            "LIGHT*COLOUR; Blender's DiffDir finds its DiffCol",
+            value="PASS,...",
+        ),
+    ] = None,
     layout: Annotated[
         str,
         option(
             CLIPS,
-            "blender, falcor, unreal, mitsuba, oidn or a TOML file, as in rlbench import",
+            "blender, falcor, unreal, mitsuba, oidn or a TOML file, as in rlbench import; "
+            "default: Blender's passes where files have them, else R, G, B",
             "--layout",
             "--format",
             value="NAME|FILE",
         ),
-    ] = "blender",
+    ] = "",
     spp: Annotated[
         float | None,
         option(
             CLIPS,
-            "samples per pixel of each image; default: as its file says",
+            "samples per pixel of each image; default: as its file says, else "
+            f"{UNKNOWN_SPP} is taken",
             value="SPP",
             min=1.0,
         ),
@@ -46,6 +96,15 @@ def denoise(
     frames: Annotated[
         str | None, option(CLIPS, "frames before END; default: all", value="FIRST:END")
     ] = None,
+    warm_up: Annotated[
+        int,
+        option(
+            CLIPS,
+            "frames before FIRST that fill the memory, and are not written",
+            value="N",
+            min=0,
+        ),
+    ] = WARM_UP,
     static: Annotated[
         bool, options.flag(CLIPS, "--static", "nothing moves; no motion vectors are read")
     ] = False,
@@ -69,41 +128,46 @@ def denoise(
     The images keep the names, headers and all other channels of SEQUENCE: denoised radiance takes
     the place of the noisy one. Rows with a memory need motion vectors and follow them from frame to
     frame. Rows that place samples take those that are there. A killed command resumes: a frame is
-    done again if its source is newer. Memory is that of one frame.
+    done again if its source changed. Memory is that of one frame. FILES are a file, a folder or a
+    pattern of names; FILES:LAYER reads one layer of them.
 
     Examples:
 
     \b
       rlbench denoise render/ -o denoised/
+      rlbench denoise color.exr --albedo albedo.exr --normal normal.exr -o denoised/
+      rlbench denoise color.####.exr --albedo albedo.####.exr --normal normal.####.exr -o denoised/
+      rlbench denoise render/ --frames 120:240 -o denoised/
+      rlbench denoise render/ --also DiffDir,DiffInd,GlossDir,GlossInd,Emit,Env -o denoised/
       rlbench denoise render/ -m accumulate/tuned --layout engine.toml --spp 4 -o denoised/
-      rlbench denoise still.exr -m oidn -o denoised/
     """
     load_plugins(plugin)
     from rlbench import registry
     from rlbench.benchmark.api import select_device
     from rlbench.cli import console
     from rlbench.clips.importers.sequence import parse_frame_range
-    from rlbench.denoise import check_denoises_means
-    from rlbench.denoise_files import denoise_sequence, find_noisy_sequences
+    from rlbench.denoising.shot import denoise_sequence
     from rlbench.system.paths import check_writable
 
-    check_denoises_means(method)
     check_writable(out)
     chosen = select_device(device)
-    traits = registry.get_variant(method).traits
-    shots = find_noisy_sequences(
+    images = {"albedo": albedo, "normal": normal, "depth": depth, "motion": motion}
+    method, shots = _find(
+        method,
         source,
         layout,
+        others={name: each for name, each in images.items() if each},
         spp=spp,
         frames=parse_frame_range(frames) if frames else None,
+        warm_up=warm_up,
         layer=layer,
-        needs_motion="motion" in traits.inputs,
         is_static=static,
+        passes=[name.strip() for name in also.split(",")] if also else (),
     )
     file = weights.file if weights else None
     label = f"{method} with {file}" if file else method
     loaded = registry.load_method(method, chosen, file)
-    for note in _notes(method, shots[0].read_spp(0)):
+    for note in (*_notes(method, shots[0]), *_check_memory(method, loaded, shots)):
         typer.echo(f"note: {note}")
     with console.counting("denoising", sum(map(len, shots))) as on_frame:
         summaries = [
@@ -117,19 +181,69 @@ def denoise(
         typer.echo(
             f"{out}: '{shot.name}', {count} denoised by {label}, {summary.kept} were there before"
         )
-        for note in shot.notes:
+        for note in (*summary.notes, *shot.notes):
             typer.echo(f"  {note}")
         for image, pixels in sorted(summary.repairs.items()):
             typer.echo(f"  {image}: {pixels} invalid pixels were replaced")
 
 
-def _notes(method: str, spp: float) -> list[str]:
-    """What a user should know of a row on images of so many samples per pixel."""
+def _find(
+    method: str | None, source: str, layout: str, **selection: Any
+) -> tuple[str, list[NoisySequence]]:
+    """The row, by default one that suits the files, and the shots."""
+    from rlbench import registry
+    from rlbench.denoise import check_denoises_means
+    from rlbench.denoising.files import GapError, NoMotionError, find_noisy_sequences
+
+    def find(name: str) -> list[NoisySequence]:
+        check_denoises_means(name)
+        traits = registry.get_variant(name).traits
+        return find_noisy_sequences(
+            source,
+            layout,
+            needs_motion="motion" in traits.inputs,
+            has_memory=traits.temporal,
+            **selection,
+        )
+
+    if method:
+        return method, find(method)
+    try:
+        shots = find(DEFAULT_METHOD)
+    except (GapError, NoMotionError) as error:
+        typer.echo(f"note: each frame is denoised on its own, by {DEFAULT_ALONE}: {error}")
+        return DEFAULT_ALONE, find(DEFAULT_ALONE)
+    if all(len(shot) == 1 for shot in shots):
+        return DEFAULT_ALONE, find(DEFAULT_ALONE)
+    return DEFAULT_METHOD, shots
+
+
+def _check_memory(name: str, method: Method, shots: Sequence[NoisySequence]) -> list[str]:
+    """How much memory large frames take. Raises DenoiseError where there is not enough."""
+    from rlbench.denoise import DenoiseError, estimate_memory
+    from rlbench.system.memory import available_memory
+
+    sizes = [(shot.sequence.height, shot.sequence.width) for shot in shots]
+    h, w = max(sizes, key=lambda size: size[0] * size[1])
+    needed, free = estimate_memory(method, h, w), available_memory()
+    need = f"frames of {w}x{h} take about {needed / 2**30:.1f} GB of memory by {name}"
+    if free is not None and needed > free:
+        hint = f"; -m {DEFAULT_ALONE} works in tiles" * method.traits.temporal
+        raise DenoiseError(f"{need}, and {free / 2**30:.1f} GB are free{hint}")
+    return [need] if needed > LARGE else []
+
+
+def _notes(method: str, shot: NoisySequence) -> list[str]:
+    """What a user should know of a row on the images of a shot."""
     from rlbench import registry
     from rlbench.denoise import MAX_SLOTS
 
-    variant = registry.get_variant(method)
+    variant, spp = registry.get_variant(method), shot.read_spp(0)
     notes = []
+    if shot.start:
+        notes.append(f"{shot.start} frames before the first fill the memory (--warm-up)")
+    if variant.traits.temporal and len(shot) > 1 and not (shot.spp or shot.find_spp(0)):
+        notes.append(f"samples per pixel are not known, {spp:g} are taken (--spp)")
     if variant.traits.adaptive:
         notes.append(f"{method} places samples; here it takes the same number in every pixel")
     trained = registry.get_variant(variant.weights_from or method)

@@ -62,7 +62,7 @@ def evaluate(
     load_plugins(plugin)
     from rlbench.benchmark import evaluation
     from rlbench.benchmark.api import select_clips
-    from rlbench.benchmark.cell_images import find_kept_cells, image_pools
+    from rlbench.benchmark.cell_images import find_kept_cells, image_pools, list_images
     from rlbench.benchmark.evaluation import select_metrics
     from rlbench.cli import console
     from rlbench.system.paths import check_no_link, check_writable
@@ -70,8 +70,10 @@ def evaluate(
     selected = select_metrics(split_names(metrics) or ["psnr"], split_names(convention))
     target = out or check_no_link(results, results / "evaluated")
     check_writable(target)
-    pools = image_pools(results)
-    sources = select_clips(clips, split_names(scenes), preset, takes, pool_kinds=pools)
+    pools, longest = image_pools(results), max(map(len, list_images(results)))
+    sources = select_clips(
+        clips, split_names(scenes), preset, takes, pool_kinds=pools, limit_frames=longest
+    )
     cells = find_kept_cells(results, sources, split_names(methods))
     with console.counting("scoring images", len(cells)) as advance:
         summary = evaluation.evaluate(results, cells, selected, target, lambda kept: advance())

@@ -107,6 +107,16 @@ class ScenesOutput:
     failed: dict[str, str] = field(default_factory=dict)  # error by scene
 
 
+@dataclass(frozen=True)
+class FileScoresOutput:
+    """Output of `rlbench score IMAGE REFERENCE --json`."""
+
+    image: str
+    reference: str
+    scores: list[dict[str, Any]]  # metric, value, unit, better, convention
+    remarks: list[str]
+
+
 def run_output(outcome: RunOutcome) -> RunOutput:
     """The document of a run."""
     summary, verdict = outcome.summary, outcome.verdict

@@ -198,7 +198,7 @@ RowBudgets = Annotated[
     Budgets | None, budgets("budgets of the results in samples per pixel; default: all")
 ]
 ShownBudgets = Annotated[
-    Budgets | None, budgets("budgets whose images are shown; default: the one nearest to 1 spp")
+    Budgets | None, budgets("budgets whose images are shown; default: one of them")
 ]
 Metric = Annotated[
     str,
@@ -248,7 +248,11 @@ Repeats = Annotated[
 ]
 LimitFrames = Annotated[
     int | None,
-    option(MEASUREMENT, "measure only the first frames of each clip, for a trial run", min=1),
+    option(
+        MEASUREMENT,
+        "measure only the first frames of each clip, for a trial run, and render no others",
+        min=1,
+    ),
 ]
 
 # training

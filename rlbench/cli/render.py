@@ -78,6 +78,14 @@ def render(
     frames: Annotated[
         int | None, option(SCENE_FILE, "default: as in the preset, or the matrices", min=1)
     ] = None,
+    limit_frames: Annotated[
+        int | None,
+        option(
+            CLIPS,
+            "render only the first frames of each clip; a later call without it renders the others",
+            min=1,
+        ),
+    ] = None,
     out: Annotated[
         Path | None,
         option(
@@ -178,6 +186,7 @@ def render(
       rlbench render
       rlbench render --preset train --seeds 0:40
       rlbench render --scenes city,hall-cut --preset standard
+      rlbench render --preset real --limit-frames 2
       rlbench render --preset development --size 640x360 --motion
       rlbench render --radiance-cap 64
       rlbench render --buffers object,normal_psr
@@ -208,6 +217,7 @@ def render(
                 executor,
                 takes=takes,
                 size=size,
+                limit_frames=limit_frames,
             )
             for each in folders:
                 times = _remeasure(each) if remeasure_sample_time else ""
@@ -230,6 +240,7 @@ def render(
             seed=seeds[0] if seeds else None,
             skip_missing=skip_missing,
             sky=sky or "",
+            limit_frames=limit_frames,
         )
         for clip in _each_seed(scene, seeds or Seeds(())):
             typer.echo(_render_clip(clip, get_preset(preset, size), tracer, executor))

@@ -188,7 +188,7 @@ def _read_others(name: str, folders: Sequence[Path]) -> dict[str, pd.DataFrame]:
 
 
 def _takes(argument: str, writer: Callable[..., object]) -> bool:
-    """Does a report use more than results: those of other presets, or how long rows trained?"""
+    """True if a report uses more than results: those of other presets, or how long rows trained."""
     return argument in inspect.signature(writer).parameters
 
 

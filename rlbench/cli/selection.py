@@ -79,10 +79,12 @@ def find_images(
     rows: pd.DataFrame,
     clips: list[Path] | None = None,
     spp: Collection[float] | None = None,
+    near: float = 1.0,
 ) -> tuple[ShownClips, str]:
     """The clips of `rows` with their kept images, not read yet, or the reason why there are none.
 
-    Raises OptionError for a budget in `spp` without images; the default is that nearest to 1 spp.
+    Raises OptionError for a budget in `spp` without images; the default is the one nearest to
+    `near`, in ratio.
     """
     from rlbench.benchmark.cell_images import list_images
     from rlbench.benchmark.shown_clips import ShownClips, find_shown_clips
@@ -102,9 +104,9 @@ def find_images(
         sources = find_sources(kept, clips)
     except OptionError as error:
         return ShownClips(), str(error)
-    from reports.analysis.rows import nearest_to_one
+    from reports.analysis.rows import nearest_budget
 
-    budgets = spp or (nearest_to_one(known),)
+    budgets = spp or (nearest_budget(known, near),)
     return find_shown_clips(results, sources, methods, budgets), ""
 
 
@@ -122,6 +124,7 @@ def find_sources(
     by_preset: dict[str, set[str]] = {}
     for each in kept:
         by_preset.setdefault(each.cell.key.preset, set()).add(each.cell.key.clip)
+    longest = max(map(len, kept), default=None)  # no frame is rendered that no image shows
     if strangers := by_preset.pop("", None):
         raise OptionError(
             f"the preset of {', '.join(sorted(strangers))} is not known; name the folder with "
@@ -131,7 +134,9 @@ def find_sources(
     return [
         source
         for preset, own in sorted(by_preset.items())
-        for source in select_clips(None, sorted(own), preset, pool_kinds=pools)
+        for source in select_clips(
+            None, sorted(own), preset, pool_kinds=pools, limit_frames=longest
+        )
     ]
 
 

@@ -29,7 +29,7 @@ LOG_WIDTH = 160  # columns of the status where it is not written to a terminal
 
 
 def has_options(context: typer.Context) -> bool:
-    """Has a command options of a queue? Raises OptionError for some of them without --queue."""
+    """True if a command has options of a queue. Raises OptionError for some without --queue."""
     status, pause = context.params["status"], context.params["pause"]
     if context.params["queue"] is None and (status or pause is not None):
         option = "--status" if status else "--pause" if pause else "--unpause"

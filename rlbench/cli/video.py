@@ -119,9 +119,9 @@ def video(
     )
     rows = read_rows(results, scenes=scenes)
     names = _order_methods(rows, split_names(methods), results)
-    from reports.analysis.rows import nearest_to_one
+    from reports.analysis.rows import nearest_budget
 
-    budgets = spp or (nearest_to_one(set(rows["target_spp"])),)
+    budgets = spp or (nearest_budget(set(rows["target_spp"])),)
     own_clips = set(rows.loc[rows["method"].isin(names), "clip"])
     kept = find_all_images(results, names, own_clips, budgets)
     for images in {each.cell.key.clip: each for each in kept}.values():

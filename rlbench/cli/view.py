@@ -78,7 +78,9 @@ def view(
         from rlbench.benchmark.run_outcome import uncertainty_remark
 
         rows = charge_gbuffer(read_rows(results, methods, scenes), gbuffer_ms)
-        clips_to_show, reason = find_images(results, rows, clips, spp)
+        opening = reports.viewer.choose_opening(rows)
+        near = opening.spp if opening else 1.0
+        clips_to_show, reason = find_images(results, rows, clips, spp, near)
         remarks = [f"the page has decision and table alone: {reason}"] if reason else []
         traits = {name: describe_traits(name) for name in sorted(set(rows["method"]))}
         remarks += reports.viewer.write(

@@ -229,12 +229,12 @@ class ExrHeader:
     @property
     def size(self) -> tuple[int, int]:
         """Height and width of the data window, pixels."""
-        return _size(self.data_window)
+        return window_size(self.data_window)
 
     @property
     def display_size(self) -> tuple[int, int]:
         """Height and width of the display window, pixels."""
-        return _size(self.display_window)
+        return window_size(self.display_window)
 
 
 def read_exr_header(path: Path) -> ExrHeader:
@@ -367,7 +367,7 @@ def _check_header(attributes: dict[str, bytes], flags: int, remaining: int) -> E
     return header
 
 
-def _size(window: Window) -> tuple[int, int]:
+def window_size(window: Window) -> tuple[int, int]:
     """Height and width of a window, pixels."""
     x_min, y_min, x_max, y_max = window
     return y_max - y_min + 1, x_max - x_min + 1

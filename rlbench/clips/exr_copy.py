@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 import OpenEXR
 from numpy.typing import NDArray
 
-from rlbench.clips.exr import ExrHeader, ExrHeaderError, read_exr_parts
+from rlbench.clips.exr import ExrHeader, ExrHeaderError, Window, read_exr_parts
 from rlbench.clips.exr_attributes import BY_LIBRARY, hide_attributes, show_attributes
 from rlbench.errors import RlbenchError
 from rlbench.system.paths import atomic_write, write_error
@@ -20,48 +21,58 @@ LOSSY = (
 )
 
 
-def replace_channels(
-    source: Path, target: Path, header: ExrHeader, planes: Mapping[str, NDArray[np.floating]]
-) -> None:
-    """Write a copy of a file, atomically, in which some channels of one part have other pixels.
+@dataclass(frozen=True)
+class NewPixels:
+    """Channels of one part of a file, and what takes their place."""
 
-    `header` is that of the part in `source`, `planes` are [h w] of its display window, and are
-    stored in the types that the channels have; half numbers end at 65504. Attributes, other
-    channels and other parts stay, bit by bit: a file that is packed with loss is written as ZIP.
-    Raises ExrHeaderError for a damaged part, and WriteError.
-    """
-    try:
-        _replace(source, target, header, planes, {})
-    except BY_LIBRARY as error:
-        if isinstance(error, RlbenchError):
-            raise
-        with hide_attributes(source) as (copy, hidden):
-            _replace(copy, target, header, planes, hidden)
+    header: ExrHeader  # of the part
+    planes: Mapping[str, NDArray[np.floating]]  # by channel, each [h w] of the window
+    window: Window | None = None  # None: the display window
 
-
-def _replace(
-    source: Path,
-    target: Path,
-    header: ExrHeader,
-    planes: Mapping[str, NDArray[np.floating]],
-    hidden: dict[tuple[int, str], bytes],
-) -> None:
-    with OpenEXR.File(str(source), separate_channels=True) as file:
-        parts = {part.name() if header.is_part else "": part for part in file.parts}
-        if header.name not in parts or len(file.parts) != len(read_exr_parts(source)):
-            raise ExrHeaderError("one of its parts is damaged or unfinished")
-        left, top, right, bottom = header.data_window
-        x, y = header.display_window[:2]
-        h, w = header.display_size
-        rows = slice(max(top, y), min(bottom, y + h - 1) + 1)
-        columns = slice(max(left, x), min(right, x + w - 1) + 1)
-        for name, plane in planes.items():
-            channel = parts[header.name].channels[name]
+    def put(self, part: OpenEXR.Part) -> None:
+        """Replace the pixels of the part that lie in both windows; half numbers end at 65504."""
+        left, top, right, bottom = self.header.data_window
+        x, y, x_end, y_end = self.window or self.header.display_window
+        rows = slice(max(top, y), min(bottom, y_end) + 1)
+        columns = slice(max(left, x), min(right, x_end) + 1)
+        for name, plane in self.planes.items():
+            channel = part.channels[name]
             pixels = channel.pixels.copy()
             most = np.finfo(pixels.dtype).max
             inside = plane[_shift(rows, y), _shift(columns, x)].clip(-most, most)
             pixels[_shift(rows, top), _shift(columns, left)] = inside
             channel.pixels = pixels
+
+
+def replace_channels(source: Path, target: Path, *images: NewPixels) -> None:
+    """Write a copy of a file, atomically, in which some channels have other pixels.
+
+    These are stored in the types that the channels have. Attributes, other channels and other parts
+    stay, bit by bit: a file that is packed with loss is written as ZIP. Raises ExrHeaderError for a
+    damaged part, and WriteError.
+    """
+    try:
+        _replace(source, target, images, {})
+    except BY_LIBRARY as error:
+        if isinstance(error, RlbenchError):
+            raise
+        with hide_attributes(source) as (copy, hidden):
+            _replace(copy, target, images, hidden)
+
+
+def _replace(
+    source: Path,
+    target: Path,
+    images: tuple[NewPixels, ...],
+    hidden: dict[tuple[int, str], bytes],
+) -> None:
+    with OpenEXR.File(str(source), separate_channels=True) as file:
+        for image in images:
+            is_part = image.header.is_part
+            parts = {part.name() if is_part else "": part for part in file.parts}
+            if image.header.name not in parts or len(file.parts) != len(read_exr_parts(source)):
+                raise ExrHeaderError("one of its parts is damaged or unfinished")
+            image.put(parts[image.header.name])
         for part in file.parts:
             if part.header["compression"] in LOSSY:
                 part.header["compression"] = OpenEXR.ZIP_COMPRESSION

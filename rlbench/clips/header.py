@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -234,6 +234,20 @@ class Header:
         """Time of one full-frame sample per pixel from a pool, in milliseconds; nan if unknown."""
         times = dict(zip(self.pools, self.pools_ms or (self.sample_ms,), strict=False))
         return times.get(pool, math.nan)
+
+    def first(self, frames: int | None) -> Header:
+        """The header of a clip of the first `frames` frames, of all where there are no more."""
+        if frames is None or frames >= self.frames:
+            return self
+        return replace(
+            self,
+            frames=frames,
+            reference_spp=self.reference_spp[:frames],
+            noise_ceiling_db=self.noise_ceiling_db[:frames],
+            jitter=self.jitter[:frames],
+            cuts=tuple(cut for cut in self.cuts if cut < frames),
+            light_changes=tuple(change for change in self.light_changes if change < frames),
+        )
 
     @property
     def tracer_of_times(self) -> str:

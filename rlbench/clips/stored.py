@@ -131,6 +131,7 @@ def open_clip(
     pool: str = "path",
     seed: int = 0,
     device: torch.device | str = "cpu",
+    limit_frames: int | None = None,
 ) -> StoredClip:
     """Open a finished clip. Only the buffers and samples that are used are decoded.
 
@@ -141,13 +142,14 @@ def open_clip(
         pool: kind of the sample pool.
         seed: seed of the sample order and of rounding.
         device: device of the tensors.
+        limit_frames: the clip ends after so many frames; its digest is that of these alone.
 
     Raises:
         ClipError: where the folder is not a finished clip, a file is missing, or the clip does not
             have the buffers or the pool.
     """
     folder = Path(folder)
-    header = read_header(folder)
+    header = read_header(folder).first(limit_frames)
     if header.static:
         inputs -= {"motion"}
     if missing := sorted(inputs - set(header.buffers)):

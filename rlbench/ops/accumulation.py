@@ -106,7 +106,7 @@ def is_cut(
     previous: Float[Tensor, "n 7 h w"],
     valid: Bool[Tensor, "n 1 h w"],
 ) -> Bool[Tensor, "n 1 1 1"]:
-    """Does an image show another place than the last one, though its motion does not say so?
+    """True if an image shows another place than the last one, though its motion does not say so.
 
     Channels are those of `surface_features`; `previous` is reprojected, and counts where `valid`.
     Blocks of 8 x 8 pixels, most of them valid, are compared by their means, so that noise of the

@@ -27,7 +27,7 @@ def is_recorded(values: Tensor) -> bool:
 
 
 def may_ask(values: Tensor) -> bool:
-    """May control flow depend on these values?
+    """True if control flow may depend on these values.
 
     >>> mask = torch.tensor([False, True])
     >>> may_ask(mask) and bool(mask.any())

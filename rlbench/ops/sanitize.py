@@ -133,7 +133,7 @@ RULES: Mapping[str, Callable[[Tensor], Tensor]] = {  # by the first word of a bu
 
 
 def _is_within(values: Tensor, low: float, high: float) -> bool:
-    """Are all values known to lie in [low, high]? False for NaN. One pass over the values."""
+    """True if all values lie in [low, high]; False for NaN, and where it is not known. One pass."""
     if not may_ask(values):
         return False
     if not values.numel():

@@ -58,7 +58,7 @@ def _lines(error: BaseException, folder: Path) -> list[str]:
 
 
 def _is_code_of(folder: Path, file: Path) -> bool:
-    """Is a file below a folder, and neither of an installed package nor of rlbench in it?"""
+    """True if a file is below a folder, and neither of an installed package nor of rlbench."""
     if not file.is_relative_to(folder) or PACKAGES in file.relative_to(folder).parts:
         return False
     return folder.is_relative_to(OURS) or not file.is_relative_to(OURS)

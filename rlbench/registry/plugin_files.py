@@ -41,8 +41,7 @@ def use_plugin(path: str | Path) -> None:
         inner = file.parent / file.parent.name / INIT
         hint = f". Did you mean {inner.parent}?" if file.name == INIT and inner.is_file() else ""
         raise PluginError(
-            f"no plugin file at {file}. --plugin takes the path of a Python file, or the folder of "
-            f"a package{hint}"
+            f"no plugin file at {file}. A plugin is a Python file, or the folder of a package{hint}"
         )
     _check_syntax(file)
     name = _module_name(file)
@@ -57,7 +56,7 @@ def _check_syntax(file: Path) -> None:
         ast.parse(file.read_bytes(), file)
     except (OSError, ValueError, SyntaxError) as error:  # ValueError: null bytes
         raise PluginError(
-            f"--plugin {file} is no Python code: {describe_failure(error, file.parent)}"
+            f"plugin {file} is no Python code: {describe_failure(error, file.parent)}"
         ) from error
 
 

@@ -229,7 +229,7 @@ PRESETS = {
 
 
 def is_test_split(preset: str) -> bool:
-    """Are clips of this preset scored, and never trained on? True for presets of other packages.
+    """True if clips of this preset are scored, and never trained on, as of other packages.
 
     >>> is_test_split("unseen"), is_test_split("train-views"), is_test_split("")
     (True, False, False)
@@ -238,7 +238,7 @@ def is_test_split(preset: str) -> bool:
 
 
 def is_clip_for(use: PresetUse, preset: str, scene: str, name: str) -> bool:
-    """May a clip be used so, by the preset, scene and name in its header?
+    """True if a clip may be used so, by the preset, scene and name in its header.
 
     A clip of another scene, rendered at the size of a preset, does not belong to that preset.
 

@@ -28,13 +28,13 @@ class FolderInUseError(RlbenchError, OSError):
 
 
 @contextmanager
-def locked_folder(folder: Path) -> Iterator[None]:
-    """Hold the only lock of a folder, which is created.
+def locked_folder(folder: Path, part: str = "") -> Iterator[None]:
+    """Hold the only lock of a folder, which is created; or that of one `part` of its content.
 
     Raises FolderInUseError at once while another process holds it, and WriteError where the lock
     file cannot be written. The lock file is removed at the end.
     """
-    file = folder / LOCK_FILE
+    file = folder / f"{LOCK_FILE}{part}"
     lock = FileLock(file, timeout=0)
     try:
         folder.mkdir(parents=True, exist_ok=True)

@@ -60,7 +60,7 @@ class LoggedProgress(Progress):
 
 
 def is_shown() -> bool:
-    """Is progress shown? Not where the logger `rlbench` is above WARNING, as `rlbench -q` sets it.
+    """True if progress is shown: not where the logger `rlbench` is above WARNING (`rlbench -q`).
 
     >>> is_shown()
     True

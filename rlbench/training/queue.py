@@ -145,7 +145,7 @@ def read_queue(file: Path, known: Sequence[str]) -> QueueFile:
     _check_keys(f"{file}, [queue]", defaults, ["at_once", *known])
     at_once = defaults.pop("at_once", None)
     if at_once is not None and (type(at_once) is not int or at_once < 1):
-        raise QueueError(f"{file}, [queue]: at_once = {at_once!r} is no number of processes")
+        raise QueueError(f"{file}, [queue]: at_once = {at_once!r} is not a number of processes")
     entries = [_read_entry(file, n, defaults, table, known) for n, table in enumerate(tables, 1)]
     content = QueueFile(_link(file, entries), at_once)
     try:
@@ -326,7 +326,7 @@ def read_status(trainings: Sequence[Training], out: Path) -> list[RowStatus]:
 
 
 def is_running(out: Path) -> bool:
-    """Does a queue run in this folder?"""
+    """True if a queue runs in this folder."""
     process = _read_record(out)["process"]
     return bool(process) and _identify(process[0]) == process
 

@@ -71,7 +71,7 @@ def test_a_deadline_that_nothing_meets_is_an_error_that_names_the_cheapest(folde
 def test_a_cost_that_is_no_number_above_zero_is_refused(folder):
     words = ("decide", "--frame-ms", 10, "--results", folder, "--sample-ms")
     for text in ("0", "-1", "nan", "x"):
-        assert "is no number above 0" in rlbench(*words, text, code=2)
+        assert "is not a number above 0" in rlbench(*words, text, code=2)
 
 
 def test_a_cost_profile_gives_the_times_and_the_cost_of_a_sample(folder, tmp_path):

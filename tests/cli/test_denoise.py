@@ -47,7 +47,7 @@ def test_one_image_by_a_row_without_memory(render, tmp_path):
     [
         (("-m", "restir"), "accumulate"),
         (("-m", "oidm"), "oidn"),
-        ((), "--spp"),  # which these files do not say
+        (("--albedo", "none.exr"), "none.exr"),
         (("--layout", "falcor"), "falcor"),
         (("--spp", "0.5"), "spp"),
         (("--frames", "7"), "FIRST:END"),

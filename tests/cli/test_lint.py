@@ -37,7 +37,7 @@ def ensured(monkeypatch):
         ),
         (("--seeds", "48:0"), "Invalid value for '--seeds': '48:0' is no list of seeds"),
         (("--takes", "some"), "'some' is not one of 'main', 'all'"),
-        (("--radiance-cap", "0"), "'0' is no number above 0"),
+        (("--radiance-cap", "0"), "'0' is not a number above 0"),
         (("--buffers", "taste"), "error: "),
         (("--camera", "orbit"), "--camera is for a scene FILE"),
         (("--ray-address", "auto"), "error: --ray-address auto applies to --engine ray only"),

@@ -48,7 +48,7 @@ def test_render_hands_over_its_options(user_clips, tmp_path):
         ("a.xml", ("--tracer", "cycles"), "error: --tracer cycles does not read a.xml"),
         ("a.xml", ("--tracer", "luxcore"), "'luxcore' is not one of 'mitsuba', 'cycles'"),
         ("a.xml", ("--size", "320"), "'320' is no size. Give WIDTHxHEIGHT"),
-        ("a.xml", ("--exposure", "0"), "'0' is no number above 0"),
+        ("a.xml", ("--exposure", "0"), "'0' is not a number above 0"),
         ("a.xml", ("-D", "max_depth"), "'max_depth' is no NAME=VALUE"),
         ("a.xml", ("--frames", 0), "Invalid value for '--frames'"),
         ("a.xml", ("--preset", "huge"), "error: no preset 'huge'"),

@@ -49,7 +49,7 @@ def test_an_impossible_training_budget_is_refused_before_rendering(command, budg
 )
 def test_numbers_that_train_nothing_are_refused(command, words, tmp_path):
     output = rlbench(command, "-m", "oidn/retrained", "--out", tmp_path / "runs", *words, code=2)
-    assert f"Invalid value for '{words[0]}': '{words[1]}' is no number above 0" in output
+    assert f"Invalid value for '{words[0]}': '{words[1]}' is not a number above 0" in output
     assert not (tmp_path / "runs").exists()
 
 

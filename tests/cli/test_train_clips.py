@@ -119,7 +119,10 @@ def test_each_validation_set_has_a_curve_on_the_card_and_in_the_log(shots, tmp_p
     ("words", "message"),
     [
         (("--mix", 0.3), "--mix is the share of crops from --clips"),
-        (("--mix", 1.5, "--preset", "train"), "'1.5' is no share. Give a number between 0 and 1"),
+        (
+            ("--mix", 1.5, "--preset", "train"),
+            "'1.5' is not a share. Give a number between 0 and 1",
+        ),
         (("--crop", 22), "'blur' cannot use 1 of 4 clips"),
         (("--holdout", "hall"), "--holdout trains on test scenes of a preset, and --clips names"),
         (("--quick",), "--quick trains on clips of its own, and --clips chooses others"),

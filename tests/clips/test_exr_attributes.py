@@ -11,7 +11,7 @@ import pytest
 
 from rlbench.clips.exr import read_exr_parts, read_planes
 from rlbench.clips.exr_attributes import read_strings
-from rlbench.clips.exr_copy import replace_channels
+from rlbench.clips.exr_copy import NewPixels, replace_channels
 
 VALUES = {  # by type, of which some have no value that the library takes
     "Latin-1": ("string", "J\u00f6rg".encode("latin-1")),
@@ -46,7 +46,7 @@ def test_an_attribute_stays_and_pixels_change(tmp_path, case):
     source = write_with(tmp_path / "in.exr", kind, value)
     (header,) = read_exr_parts(source)
     (plane,) = read_planes(source, header, ["R"])
-    replace_channels(source, tmp_path / "out.exr", header, {"R": plane + 1})
+    replace_channels(source, tmp_path / "out.exr", NewPixels(header, {"R": plane + 1}))
     changed, same = read_planes(tmp_path / "out.exr", header, ["R", "Z"])
     np.testing.assert_array_equal(changed, plane + 1)
     np.testing.assert_array_equal(same, plane)

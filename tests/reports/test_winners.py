@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -87,6 +88,18 @@ def test_regions_are_named_in_place_and_in_the_key(three):
     assert {"slow", "no denoiser fits", "60 Hz", "cost in these results"} <= texts
     key = {text.get_text() for text in figure.legends[0].get_texts()}
     assert set(THREE) <= key
+
+
+def test_small_regions_share_one_colour(three):
+    """Of twelve winners, eight have a name, and of three the one with 1 % of the map has none."""
+    for areas, named in (([8.0] * 12, 8), ([60, 39, 1], 2)):
+        edges = np.cumsum(areas) / sum(areas) * three.winner.size
+        winner = np.searchsorted(edges, np.arange(three.winner.size), side="right")
+        methods = tuple(f"ours/A{index}" for index in range(len(areas)))
+        shown = replace(three, methods=methods, winner=winner.reshape(three.winner.shape))
+        key = [text.get_text() for text in draw_winner_map(shown, "", 2.0).legends[0].get_texts()]
+        assert len(set(key) & set(methods)) == named
+        assert f"{len(areas) - named} others" in key
 
 
 def test_the_caption_names_device_and_size(tmp_path, monkeypatch):

@@ -69,7 +69,7 @@ def test_an_entry_comes_after_the_one_that_it_starts_from(tmp_path):
         (ROWS + "after = 'x'", "'b': no training 'x' to come after; available: a, b"),
         (ROWS + "name = 'a'", "two trainings are named 'a'"),
         (ROWS + "after = 3", "name and after are names in quotes"),
-        ("[queue]\nat_once = 0\n" + ROWS, "at_once = 0 is no number of processes"),
+        ("[queue]\nat_once = 0\n" + ROWS, "at_once = 0 is not a number of processes"),
         ("[[training]]\nframes = 3", "training 1: write its method"),
         ("[queue]\nframes = 3", "is no queue: write one table"),
         ("[quueue]\n" + ROWS, "is no queue: write one table"),

@@ -13,19 +13,6 @@ const LISTED = 12; // methods in the ranking
 const NAMED = 12; // curves with a colour
 const MENTIONED = 4; // methods that a sentence names
 
-/** The measured cost of a sample, and the first usual deadline that half of the denoisers meet. */
-export function firstQuestion() {
-  const first = data.devices[0]?.decide[0]?.scopes[0];
-  if (!(first?.sample_ms > 0)) return {};
-  const sample = Number(first.sample_ms.toPrecision(3));
-  const least = first.curves
-    .filter((curve) => curve.competes)
-    .map((curve) => Math.min(...frameTimes(curve, sample)))
-    .sort((a, b) => a - b);
-  const needed = least[Math.floor(least.length / 2)];
-  return { sample, deadline: [16.7, 33.3, 100, 250, 500].find((time) => time >= needed) ?? 1000 };
-}
-
 function cheapest(curves, sampleMs) {
   const points = curves
     .filter((each) => each.competes)

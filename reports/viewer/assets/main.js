@@ -4,7 +4,7 @@ import { h } from "viewer/dom.js";
 import { set, start, state, subscribe } from "viewer/state.js";
 import { data, isGallery } from "viewer/data.js";
 import { clip, settle, Workspace } from "viewer/workspace.js";
-import { decideView, firstQuestion } from "viewer/decide_view.js";
+import { decideView } from "viewer/decide_view.js";
 import { tableView } from "viewer/table_view.js";
 import { fillHelp, listen, VIEWS } from "viewer/keys.js";
 import * as flip from "viewer/flip_view.js";
@@ -14,7 +14,7 @@ import * as time from "viewer/time_view.js";
 const MODES = { flip, layers, time };
 const LOOK = ["clip", "spp", "a", "b", "show", "split", "frame", "layer", "ev", "curve", "range"]; // that change panes
 
-start({ view: data.devices[0]?.decide.length ? "decide" : "table", ...firstQuestion() });
+start({ view: data.devices[0]?.decide.length ? "decide" : "table", ...data.question });
 
 const hasImages = clip() !== null;
 if (hasImages) settle();

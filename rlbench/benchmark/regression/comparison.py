@@ -257,7 +257,7 @@ def parse_gate(text: str) -> SpeedGate:
     except ValueError:
         max_ratio = math.nan
     if not 0 < max_ratio < math.inf:
-        raise OptionError(f"'{text}' is no gate. Write A/B<=1.3, for example ours/oidn<=1.3")
+        raise OptionError(f"'{text}' is not a bound. Write A/B<=1.3, for example ours/oidn<=1.3")
     separator = " / " if " / " in names else "/"
     cuts = [match.start() for match in re.finditer(re.escape(separator), names)]
     pairs = [(names[:cut].strip(), names[cut + len(separator) :].strip()) for cut in cuts]
@@ -327,7 +327,7 @@ def _configuration(name: str) -> Configuration:
 
 
 def _is_known(name: str) -> bool:
-    """Is this a row of an installed method, with no label of weights or of tiles?
+    """True for a row of an installed method, with no label of weights or of tiles.
 
     No generated frame has tiles without changes.
     """

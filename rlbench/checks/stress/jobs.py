@@ -91,7 +91,7 @@ def plan_jobs(
 
 
 def is_for_suite(section: str) -> bool:
-    """Is it a section of the suite? One that cannot be imported fails once, not per method."""
+    """True for a section of the suite. One that cannot be imported fails once, not per method."""
     try:
         return isinstance(load_section(section), SuiteSection)
     except Exception:  # reported by its job

@@ -3,15 +3,17 @@
 from __future__ import annotations
 
 from collections import defaultdict
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 
+from rlbench.clips.exr import window_size
 from rlbench.clips.importers import limits
 from rlbench.clips.importers.dump_frame import (
     FrameFiles,
     count_samples,
+    find_overscan,
     has_image,
     image_size,
     read_frame,
@@ -22,6 +24,7 @@ from rlbench.clips.importers.layout import Layout
 from rlbench.clips.importers.sequence import (
     ImportedSequence,
     SourceError,
+    check_complete,
     clip_name,
     select_frames,
 )
@@ -29,6 +32,8 @@ from rlbench.clips.importers.stand_ins import add_stand_ins
 
 GBUFFER = ("albedo", "normal", "depth", "motion")
 Files = dict[FileKey, tuple[int, Path]]  # with the rank of the pattern that matched
+Clips = Mapping[str, Mapping[int, Mapping[str, Files]]]  # by clip, frame and image
+Select = Callable[[str, Iterable[int]], tuple[int, ...]]  # frames that are read, of those there are
 
 
 @dataclass(frozen=True)
@@ -47,9 +52,20 @@ def find_dump_sequences(
 
     Raises SourceError for files that contradict the layout or each other.
     """
-    clips = match_files(source, layout)
+    select = partial(select_frames, frames=frames)
+    return build_sequences(source, match_files(source, layout), layout, select)
+
+
+def build_sequences(
+    source: Path, clips: Clips, layout: Layout, select: Select
+) -> list[ImportedSequence]:
+    """The sequences of files that were matched, with the frames that `select` chooses.
+
+    `select` gets a label for messages and the frames that have radiance. Raises SourceError for
+    files that contradict the layout or each other.
+    """
     return [
-        _sequence(source, clip, numbered, layout, frames)
+        _sequence(source, clip, numbered, layout, select)
         for clip, numbered in sorted(clips.items())
         if any("radiance" in files for files in numbered.values())
     ]
@@ -102,19 +118,21 @@ def _sequence(
     clip: str,
     numbered: Mapping[int, Mapping[str, Files]],
     layout: Layout,
-    frames: tuple[int, int] | None,
+    select: Select,
 ) -> ImportedSequence:
     name = sequence_name(source, clip)
     rendered = [number for number, files in numbered.items() if "radiance" in files]
-    numbers = select_frames(f"clip '{name}'", rendered, frames)
+    numbers = select(f"clip '{name}'", rendered)
     found = _select(name, {number: numbered[number] for number in numbers}, layout)
     size = image_size(found.frames[numbers[0]], "radiance", layout)
+    window = None if layout.overscan == "cut" else find_overscan(found.frames.values(), layout)
+    shape = window_size(window) if window else size
     available = {n: _choose(numbered[n], layout) for n in rendered} if layout.moves_onward else {}
     sequence = ImportedSequence(
         name=name,
         sampler=f"{layout.renderer}, imported",
-        height=size[0],
-        width=size[1],
+        height=shape[0],
+        width=shape[1],
         numbers=numbers,
         first_number=min(rendered),
         counts=tuple(count_samples(found.frames[n], layout) for n in numbers),
@@ -122,10 +140,11 @@ def _sequence(
         buffers=tuple(b for b in GBUFFER if getattr(layout, b) and b not in found.absent),
         limitations=_limitations(layout, found, numbers[0] - 1 in rendered),
         files=tuple(path for files in found.frames.values() for path in files.paths),
-        radiance=tuple(found.frames[n].images["radiance"][0] for n in numbers),
+        frame_files=tuple(tuple(found.frames[n].paths) for n in numbers),
         read=partial(
-            read_frame, {**available, **found.frames}, layout, size, source, min(rendered)
+            read_frame, {**available, **found.frames}, layout, size, source, min(rendered), window
         ),
+        window=window,
         fps=layout.frames_per_second,
         exposure=None if layout.exposure == "auto" else float(layout.exposure),
         convention=repr(layout),
@@ -148,7 +167,7 @@ def _select(name: str, numbered: Mapping[int, Mapping[str, Files]], layout: Layo
             absent.append(image)
             _check_absent(name, image, having[1:], frames, layout)
         elif len(having) < len(frames):
-            select_frames(f"clip '{name}', {image}", having, (min(frames), max(frames) + 1))
+            check_complete(f"clip '{name}', {image}", frames, having)
     halves = min(
         (count for f in frames.values() if (count := len(f.images["reference"]))), default=1
     )

@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import re
 from collections import Counter
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
@@ -14,6 +14,7 @@ from jaxtyping import Float
 from numpy import ndarray as Array
 from numpy.typing import NDArray
 
+from rlbench.clips.exr import Window, window_size
 from rlbench.clips.importers import limits
 from rlbench.clips.importers.conversions import (
     convert_albedo,
@@ -26,6 +27,7 @@ from rlbench.clips.importers.conversions import (
 from rlbench.clips.importers.image_files import (
     Channels,
     exr_size,
+    find_channels,
     has_channels,
     list_channels,
     read_exr_image,
@@ -85,20 +87,34 @@ def image_size(files: FrameFiles, name: str, layout: Layout) -> tuple[int, int]:
     return exr_size(*_places(files, name, layout)[0])
 
 
+def find_overscan(frames: Iterable[FrameFiles], layout: Layout) -> Window | None:
+    """The window of all pixels of radiance, None where none is outside the display window.
+
+    Raises SourceError.
+    """
+    headers = [find_channels(*_places(each, "radiance", layout)[0])[0] for each in frames]
+    windows = [each.data_window for each in headers] + [each.display_window for each in headers]
+    x, y, x_end, y_end = zip(*windows, strict=True)
+    window = (min(x), min(y), max(x_end), max(y_end))
+    return None if window == headers[0].display_window else window
+
+
 def read_frame(
     frames: Mapping[int, FrameFiles],
     layout: Layout,
     size: tuple[int, int],
     source: Path,
     first: int,
+    window: Window | None,
     number: int,
     samples: int,
 ) -> ImportedFrame:
     """Frame `number` with the given number of samples. Raises SourceError.
 
     `first` is the first frame of the dump, to which the first matrix of a camera file belongs.
+    `window` is read in place of the display window.
     """
-    reader = _Reader(frames[number], layout, size)
+    reader = _Reader(frames[number], layout, size, window)
     gbuffer: dict[str, Pixels] = {}
     if layout.albedo and (stored := reader.read_buffer("albedo")) is not None:
         gbuffer["albedo"] = convert_albedo(stored, layout.albedo)
@@ -110,12 +126,12 @@ def read_frame(
     if layout.depth and (stored := reader.read_buffer("depth")) is not None:
         gbuffer["depth"] = convert_depth(stored, layout.depth)
     if layout.motion and (stored := reader.read_buffer("motion")) is not None:
-        gbuffer["motion"] = _read_motion(stored, frames, layout, size, number)
+        gbuffer["motion"] = _read_motion(stored, frames, layout, reader, number)
     pool = _read_pool(reader, samples, gbuffer)
     halves = [
         _modulate(decode_curve(image, layout.reference.encoding), layout.reference, gbuffer)
         for image in reader.read_all("reference", 2)
-    ] or [np.full((*size, 3), np.nan, np.float32)]
+    ] or [np.full((*reader.shape, 3), np.nan, np.float32)]
     return ImportedFrame(
         gbuffer=gbuffer,
         pool=pool,
@@ -134,11 +150,17 @@ class _Reader:
 
     files: FrameFiles
     layout: Layout
-    size: tuple[int, int]
+    size: tuple[int, int]  # of the display window
+    window: Window | None = None  # that is read in place of it
     counts: Counter[str] = field(default_factory=Counter)
     broken: dict[str, NDArray[np.bool_]] = field(default_factory=dict)
     empty: dict[str, NDArray[np.bool_]] = field(default_factory=dict)
     nonfinite_files: dict[str, Path] = field(default_factory=dict)
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        """Height and width of the images, pixels."""
+        return window_size(self.window) if self.window else self.size
 
     def read_all(self, name: str, most: int) -> list[Pixels]:
         """The first images of a kind; empty where there is none. Raises SourceError."""
@@ -168,8 +190,8 @@ class _Reader:
         image = self.layout.images[name]
         # what converts to background, black, and no motion
         fill = {"depth": np.inf, "motion": getattr(image, "offset", 0)}.get(name, 0)
-        pixels, empty, cut, header = read_exr_image(path, channels, fill)
-        limits.check_same_size(path, pixels.shape[:2], self.size)
+        pixels, empty, cut, header = read_exr_image(path, channels, fill, self.window)
+        limits.check_same_size(path, header.display_size, self.size)
         if not np.isfinite(pixels).all():
             self.nonfinite_files.setdefault(name, path)
         outside = 0
@@ -284,7 +306,7 @@ def _read_motion(
     stored: Pixels,
     frames: Mapping[int, FrameFiles],
     layout: Layout,
-    size: tuple[int, int],
+    reader: _Reader,
     number: int,
 ) -> Pixels:
     """Motion to the previous frame; zero in a first frame whose motion is in no file."""
@@ -292,8 +314,8 @@ def _read_motion(
     if not layout.moves_onward:
         return convert_motion(stored, layout.motion)
     if number - 1 not in frames:
-        return np.zeros((*size, 2), np.float32)
-    (previous,) = _Reader(frames[number - 1], layout, size).read_all("motion", 1)
+        return np.zeros((*reader.shape, 2), np.float32)
+    (previous,) = replace(reader, files=frames[number - 1]).read_all("motion", 1)
     return convert_motion(stored, layout.motion, previous)
 
 

@@ -43,14 +43,14 @@ def find_sequences(
     layout = ALIASES.get(layout, layout)
     if layout in FORMATS:
         module = importlib.import_module(FORMATS[layout])
-        clips = [add_stand_ins(clip) for clip in module.find_sequences(source, frames)]
+        found = _check(module.find_sequences(source, frames))
+        clips = [add_stand_ins(clip) for clip in found]
         expected = module.LAYOUT
     else:
         read = read_layout(layout, [*ready_layouts(), *FORMATS])
         read = replace(read, layer=layer or read.layer)
-        clips = [
-            add_sky_motion(clip, read, source) for clip in find_dump_sequences(source, read, frames)
-        ]
+        found = _check(find_dump_sequences(source, read, frames))
+        clips = [add_sky_motion(clip, read, source) for clip in found]
         expected = " or ".join(read.radiance.patterns)
     if not clips:
         if (source / FILE).is_file():
@@ -62,14 +62,19 @@ def find_sequences(
             f"{source} holds nothing of layout '{layout}': expected files such as {expected}; it "
             f"holds: {content}.{hint} rlbench lint --guess {source} writes a layout"
         )
-    for clip in clips:
-        limits.check_packing(clip.name, clip.files, clip.height * clip.width)
     counts = Counter(sequence.name for sequence in clips)
     if duplicates := [name for name, count in counts.items() if count > 1]:
         raise SourceError(
             f"{source} holds two clips named '{duplicates[0]}'; import their folders separately"
         )
     return sorted(clips, key=lambda sequence: sequence.name)
+
+
+def _check(clips: list[ImportedSequence]) -> list[ImportedSequence]:
+    """The same clips. Raises SourceError for one that is too large, before a pixel is read."""
+    for clip in clips:
+        limits.check_clip(clip.name, clip.files, clip.height, clip.width)
+    return clips
 
 
 def _find_near(source: Path, layout: str) -> Path | None:

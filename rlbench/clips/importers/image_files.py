@@ -16,8 +16,10 @@ from rlbench.clips.exr import (
     DeepImageError,
     ExrHeader,
     ExrHeaderError,
+    Window,
     read_exr_parts,
     read_planes,
+    window_size,
 )
 from rlbench.clips.importers.limits import check_size
 from rlbench.clips.importers.sequence import Pixels, SourceError
@@ -40,19 +42,17 @@ class Channels(NamedTuple):
 
 
 class ExrImage(NamedTuple):
-    """The pixels of a display window, of which the file may have only some, or others too."""
+    """The pixels of a window, of which the file may have only some, or others too."""
 
     pixels: Pixels  # h w c, in the precision of the file; of UINT channels float64
     empty: NDArray[np.bool_]  # h w 1, outside the data window
-    cut: int  # pixels of the data window outside the display window
+    cut: int  # pixels of the data window outside this window
     header: ExrHeader
 
 
 def exr_size(path: Path, channels: Channels) -> tuple[int, int]:
     """Height and width of the image that has these channels, pixels. Raises SourceError."""
-    with _convert_errors(path):
-        header, _ = _find_channels(path, read_exr_parts(path), channels)
-        return check_size(path, *header.display_size)
+    return check_size(path, *find_channels(path, channels)[0].display_size)
 
 
 def read_exr(
@@ -62,16 +62,19 @@ def read_exr(
     return read_exr_image(path, Channels(alternatives, part), fill).pixels
 
 
-def read_exr_image(path: Path, channels: Channels, fill: float = 0.0) -> ExrImage:
-    """Channels of one part of an EXR: the display window, with `fill` where there are no data.
+def read_exr_image(
+    path: Path, channels: Channels, fill: float = 0.0, window: Window | None = None
+) -> ExrImage:
+    """Channels of one part of an EXR: a window of it, with `fill` where there are no data.
 
-    Raises SourceError where the file is broken, too large, deep, has no such channels, or no data
-    inside the display window.
+    The default is the display window. Raises SourceError where the file is broken, too large, deep,
+    has no such channels, or no data inside the window.
     """
     with _convert_errors(path):
         header, names = _find_channels(path, read_exr_parts(path), channels)
-        h, w = check_size(path, *header.display_size)
-        source, target = _overlap(path, header)
+        window = window or header.display_window
+        h, w = check_size(path, *window_size(window))
+        source, target = _overlap(path, header.data_window, window)
         planes = [
             plane.astype(np.float64) if plane.dtype.kind == "u" else plane
             for plane in read_planes(path, header, names)
@@ -80,7 +83,7 @@ def read_exr_image(path: Path, channels: Channels, fill: float = 0.0) -> ExrImag
         empty = np.ones((h, w, 1), bool)
         empty[target] = False
         pixels = data
-        if header.data_window != header.display_window:
+        if header.data_window != window:
             pixels = np.full((h, w, len(names)), fill, data.dtype)
             pixels[target] = data[source]
         return ExrImage(pixels, empty, data[..., 0].size - int((~empty).sum()), header)
@@ -127,21 +130,22 @@ def list_channels(path: Path) -> dict[str, list[str]]:
         return {header.name: _full(header) for header in headers if not header.is_deep}
 
 
-def _overlap(path: Path, header: ExrHeader) -> tuple[tuple[slice, slice], tuple[slice, slice]]:
+def _overlap(
+    path: Path, data: Window, image: Window
+) -> tuple[tuple[slice, slice], tuple[slice, slice]]:
     """Rows and columns that both windows share: in the data, and in the image."""
-    data, display = header.data_window, header.display_window
-    x, y = max(data[0], display[0]), max(data[1], display[1])
-    x_end, y_end = min(data[2], display[2]) + 1, min(data[3], display[3]) + 1
+    x, y = max(data[0], image[0]), max(data[1], image[1])
+    x_end, y_end = min(data[2], image[2]) + 1, min(data[3], image[3]) + 1
     if x >= x_end or y >= y_end:
         raise SourceError(
             f"{path} has no pixel of its image: the data window {data} lies outside the display "
-            f"window {display}"
+            f"window {image}"
         )
 
     def window(left: int, top: int) -> tuple[slice, slice]:
         return slice(y - top, y_end - top), slice(x - left, x_end - left)
 
-    return window(*data[:2]), window(*display[:2])
+    return window(*data[:2]), window(*image[:2])
 
 
 def _find_channels(

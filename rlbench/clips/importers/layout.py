@@ -166,7 +166,7 @@ class Layout:
     `missing_motion` replaces absent motion: zero, or optical flow of albedo. `exposure` is a factor
     or "auto". `frames_per_second` may be any number above 0. `layer` is read where a channel's
     pattern matches several layers. Colours of other primaries become Rec. 709, unless
-    `chromaticities` keeps them.
+    `chromaticities` keeps them. `overscan` are pixels outside the display window.
     """
 
     radiance: Radiance
@@ -183,8 +183,8 @@ class Layout:
     frames_per_second: float = 24.0
     renderer: str = "unknown"
     layer: str = ""
-    # not in repr, which tells one import from another
-    chromaticities: Literal["convert", "keep"] = dataclasses.field(default="convert", repr=False)
+    chromaticities: Literal["convert", "keep"] = "convert"
+    overscan: Literal["cut", "keep"] = "cut"
 
     @property
     def images(self) -> dict[str, Image]:

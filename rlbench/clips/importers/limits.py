@@ -11,6 +11,7 @@ from rlbench.clips.header import MAX_PIXELS
 from rlbench.clips.importers.sequence import SourceError
 
 MAX_FILES = 1_000_000  # at and below one source folder
+MAX_IMAGE_PIXELS = 2**28  # 16384 x 16384
 MAX_SAMPLES = 64  # per pixel and frame
 MAX_ARRAY_BYTES = 2**31  # of one array, unpacked
 LARGE_IMAGE_BYTES = 2**29  # of one image, unpacked: 45 megapixels
@@ -67,18 +68,23 @@ def check_inside(root: Path, path: Path) -> Path:
 
 def check_size(path: Path, height: int, width: int) -> tuple[int, int]:
     """The size that an image claims to have, if it is within the limits. Raises SourceError."""
-    if min(height, width) < 1 or height * width > MAX_PIXELS:
+    if min(height, width) < 1 or height * width > MAX_IMAGE_PIXELS:
         raise SourceError(
-            f"{path} claims to be {width} x {height} pixels; from 1 to {MAX_PIXELS} are read"
+            f"{path} claims to be {width} x {height} pixels; from 1 to {MAX_IMAGE_PIXELS} are read"
         )
     return height, width
 
 
-def check_packing(name: str, files: Sequence[Path], pixels: int) -> None:
-    """Raise SourceError for large images of next to no bytes, which would fill the memory.
+def check_clip(name: str, files: Sequence[Path], height: int, width: int) -> None:
+    """Raise SourceError for frames that are too large for a clip, or of next to no bytes.
 
-    Renders of that size, with noise, take a hundred times the bytes.
+    These would fill the memory. Renders of that size, with noise, take a hundred times the bytes.
     """
+    pixels = height * width
+    if pixels > MAX_PIXELS:
+        raise SourceError(
+            f"clip '{name}' has frames of {width} x {height}; a clip has up to {MAX_PIXELS} pixels"
+        )
     packed = sum(path.stat().st_size for path in files)
     unpacked = len(files) * pixels * 3 * 4
     if pixels * 3 * 4 > LARGE_IMAGE_BYTES and unpacked > MAX_PACKING * packed:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 import unicodedata
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Collection, Iterable, Mapping
 from dataclasses import dataclass
 from hashlib import sha256
 from pathlib import Path
@@ -13,6 +13,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from rlbench.clips.exr import Window
 from rlbench.clips.header import LIMITS
 from rlbench.errors import RlbenchError
 
@@ -53,13 +54,19 @@ class ImportedSequence:
     buffers: tuple[str, ...]  # of the G-buffer
     limitations: tuple[str, ...]  # keys of `rlbench.clips.header.LIMITATIONS`
     files: tuple[Path, ...]  # all files that are read
-    radiance: tuple[Path, ...] = ()  # the first file of radiance of each frame, of a dump
+    frame_files: tuple[tuple[Path, ...], ...] = ()  # of each frame of a dump; first its radiance
+    window: Window | None = None  # of the images, where it is not the display window
     read: Callable[[int, int], ImportedFrame]  # reads (frame number, samples per pixel)
     jitter: tuple[tuple[float, float], ...] = ()  # offset of the samples of each frame, pixels
     fps: float = 24.0  # frames per second
     exposure: float | None = None  # that suits the source; None: from its luminance
     convention: str = ""  # what else decides the frames, for telling one import from another
     notes: tuple[str, ...] = ()  # about the source, for its user
+
+    @property
+    def radiance(self) -> tuple[Path, ...]:
+        """The first file of radiance of each frame of a dump."""
+        return tuple(files[0] for files in self.frame_files)
 
 
 def parse_frame_range(text: str) -> tuple[int, int]:
@@ -92,14 +99,19 @@ def select_frames(
             f"{MAX_FRAMES}; there are {len(existing)} files between {min(existing)} and "
             f"{max(existing)}. Select fewer with --frames FIRST:END, or correct the file names"
         )
-    if missing := [number for number in range(first, end) if number not in existing]:
+    check_complete(label, range(first, end), existing)
+    return tuple(range(first, end))
+
+
+def check_complete(label: str, required: Collection[int], existing: Collection[int]) -> None:
+    """Raise SourceError where a required frame does not exist. `label` is what needs it."""
+    if missing := sorted(set(required) - set(existing)):
         listed = ", ".join(map(str, missing[:8])) + (" ..." if len(missing) > 8 else "")
         raise SourceError(
-            f"{label}: frames {first} to {end - 1} are required and {len(missing)} of them are "
-            f"missing: {listed}; there are {len(existing)} between {min(existing)} and "
-            f"{max(existing)}. Select a range without gaps with --frames FIRST:END"
+            f"{label}: frames {min(required)} to {max(required)} are required and {len(missing)} "
+            f"of them are missing: {listed}; there are {len(existing)} between {min(existing)} "
+            f"and {max(existing)}. Select a range without gaps with --frames FIRST:END"
         )
-    return tuple(range(first, end))
 
 
 def clip_name(*parts: str) -> str:

@@ -45,7 +45,8 @@ def add_sky_motion(sequence: ImportedSequence, layout: Layout, source: Path) -> 
         return sequence
     camera = motion.camera or (layout.normal.camera if layout.normal else "")
     fov = motion.fov or (layout.depth.fov if layout.depth else None)
-    sky = _Sky(sequence, motion, source / camera if camera and fov else None, fov or 0)
+    is_known = camera and fov and not sequence.window  # whose width the field of view belongs to
+    sky = _Sky(sequence, motion, source / camera if is_known else None, fov or 0)
     count = len(sequence.numbers)
     chosen = {round(index) for index in np.linspace(0, count - 1, min(MAX_FRAMES, count))}
     frames = (sequence.read(sequence.numbers[index], 1) for index in sorted(chosen))

@@ -160,7 +160,8 @@ def _render(cycles_job: CyclesJob) -> None:
     version = f"Blender {blender}, {job.scene.max_depth - 2} bounces, light tree"
     seconds = fastest_sample_s(work_folder)
     sample_ms = seconds * 1e3 if np.isfinite(seconds) else float("nan")
-    write_header(job.folder, job.make_header("cycles", version, sample_ms, stratified=True))
+    if not job.is_finished:  # a header of more frames stays
+        write_header(job.folder, job.make_header("cycles", version, sample_ms, stratified=True))
     shutil.rmtree(work_folder)
 
 

@@ -58,7 +58,7 @@ class MissingPool:
     def missing_frames(self) -> list[int]:
         """Frames without a file of this pool, scene and version."""
         is_ours = self._key_file.is_file() and self._key_file.read_text() == self.content_key
-        frames = range(self.job.preset.frames)
+        frames = range(read_header(self.folder).frames)
         return [i for i in frames if not (is_ours and self._file(i).is_file())]
 
     @property

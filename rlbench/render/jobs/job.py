@@ -6,6 +6,7 @@ The process that started the job writes the frames to disk, wherever they are tr
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -17,7 +18,7 @@ from jaxtyping import Float
 from numpy import ndarray as Array
 
 from rlbench.clips.frame_files import has_frame, write_frame
-from rlbench.clips.header import FILE, ClipError, Header, names_in_digests
+from rlbench.clips.header import FILE, ClipError, Header, names_in_digests, read_header
 from rlbench.frames import BUFFERS
 from rlbench.parallel.executor import ProgressCallback, Resources
 from rlbench.render.fingerprint import fingerprint
@@ -42,12 +43,22 @@ CPUS = 4  # per frame; more are of little use, as G-buffers and textures are mad
 
 @dataclass(frozen=True, eq=False)
 class Job:
-    """One clip to render into a folder."""
+    """One clip to render into a folder, or the first frames of it, which are equal bit for bit.
+
+    A clip of first frames is a valid one, as its header has their number; a job without a limit
+    renders the others later.
+    """
 
     name: str
     scene: Scene
     preset: Preset
     folder: Path
+    limit_frames: int | None = None  # that are rendered at most, the first ones
+
+    @property
+    def frames(self) -> int:
+        """Number of frames to render."""
+        return min(self.limit_frames or self.preset.frames, self.preset.frames)
 
     @property
     def buffers(self) -> tuple[str, ...]:
@@ -59,7 +70,7 @@ class Job:
     def missing_frames(self) -> list[int]:
         """Frames whose files are incomplete or were rendered with another content key."""
         is_ours = read_content_key(self.folder) == self.content_key
-        return [i for i in range(self.preset.frames) if not (is_ours and self._is_complete(i))]
+        return [i for i in range(self.frames) if not (is_ours and self._is_complete(i))]
 
     def _is_complete(self, index: int) -> bool:
         return has_frame(self.folder, index, FRAME_POOLS) and self.reference_spp(index) > 0
@@ -94,8 +105,10 @@ class Job:
 
     @property
     def is_finished(self) -> bool:
-        """Does the folder hold a header and all frames with this content key?"""
-        return (self.folder / FILE).is_file() and not self.missing_frames
+        """Does the folder hold all frames with this content key, and a header of as many?"""
+        if not (self.folder / FILE).is_file() or self.missing_frames:
+            return False
+        return read_header(self.folder).frames >= self.frames
 
     def make_header(
         self,
@@ -119,23 +132,23 @@ class Job:
             sampler_version=version,
             height=preset.size[0],
             width=preset.size[1],
-            frames=preset.frames,
+            frames=self.frames,
             seed=seed,
             exposure=scene.exposure,
             pool_spp=preset.pool_spp,
             radiance_cap=preset.radiance_cap,
-            reference_spp=tuple(map(self.reference_spp, range(preset.frames))),
+            reference_spp=tuple(map(self.reference_spp, range(self.frames))),
             stratified=stratified,
             noise_ceiling_db=tuple(
                 stored_noise_ceiling_db(self.folder, index, *preset.size, scene.exposure)
-                for index in range(preset.frames)
+                for index in range(self.frames)
             ),
             buffers=self.buffers,
             pools=FRAME_POOLS,
             static=scene.static,
             missing_files=scene.missing_files,
-            cuts=tuple(cut for cut in scene.cuts if cut < preset.frames),
-            light_changes=scene.light_changes(preset.frames),
+            cuts=tuple(cut for cut in scene.cuts if cut < self.frames),
+            light_changes=scene.light_changes(self.frames),
             licence=scene.licence,
             sample_ms=sample_ms,
             device=machine().name,
@@ -167,6 +180,15 @@ def read_content_key(folder: Path) -> str:
     """The content key of the frames in a folder; empty if `rlbench render` did not write them."""
     file = folder / CONTENT_KEY_FILE
     return file.read_text() if file.is_file() else ""
+
+
+def read_whole_length(folder: Path) -> int | None:
+    """Frames of the whole clip, of which a folder may hold the first ones; None if not known.
+
+    Camera paths and exposures depend on it.
+    """
+    found = re.match(r"\S+ \S+ (\d+) frames", read_content_key(folder))
+    return int(found[1]) if found else None
 
 
 @dataclass(frozen=True)

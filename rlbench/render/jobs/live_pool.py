@@ -20,7 +20,7 @@ from rlbench.clips.in_memory import ClipWrapper
 from rlbench.clips.stored import StoredClip, sample_order
 from rlbench.frames import Frame, Samples, Size
 from rlbench.render.fingerprint import fingerprint
-from rlbench.render.jobs.job import FRAME_POOLS, read_content_key
+from rlbench.render.jobs.job import FRAME_POOLS, read_content_key, read_whole_length
 from rlbench.render.jobs.render_clips import scene_of_header
 from rlbench.render.mitsuba.open_tracer import open_tracer
 from rlbench.render.mitsuba.tracer import MAX_PATHS, Tracer
@@ -136,7 +136,8 @@ def scene_of_folder(folder: Path) -> Scene:
     if not (key := read_content_key(folder)):
         raise ClipError(f"{error}: `rlbench render` did not write it. Use --pool stored")
     scene = scene_of_header(header)
-    current, rendered = fingerprint(scene, header.frames), key.split()[0]
+    frames = read_whole_length(folder) or header.frames
+    current, rendered = fingerprint(scene, frames), key.split()[0]
     if current != rendered:
         raise ClipError(
             f"{error}: its scene '{header.name}' has changed since (fingerprint {current}, the "
@@ -178,7 +179,8 @@ def open_clip_tracer(folder: Path) -> Tracer:
     header = read_header(folder)
     cap = header.radiance_cap / header.exposure
     size = header.height, header.width
-    scene = scene_of_folder(folder).inspect(header.frames, size)
+    frames = read_whole_length(folder) or header.frames
+    scene = scene_of_folder(folder).inspect(frames, size)
     return open_tracer(scene, *size, header.seed, cap)
 
 

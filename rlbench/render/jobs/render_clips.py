@@ -32,6 +32,7 @@ from rlbench.render.jobs.job import (
     Job,
     frame_resources,
     measure_trace_times,
+    read_whole_length,
     save_frame,
 )
 from rlbench.render.mitsuba.open_tracer import open_tracer
@@ -59,9 +60,11 @@ def ensure(
     scenes: Iterable[str] | None = None,
     seeds: Iterable[int] | None = None,
     executor: Executor = LOCAL,
+    limit_frames: int | None = None,
 ) -> list[Path]:
     """The clip folders of `preset_jobs`, after rendering the missing frames."""
-    return render_missing(preset_jobs(preset, scenes, seeds), executor)
+    jobs = preset_jobs(preset, scenes, seeds)
+    return render_missing([replace(job, limit_frames=limit_frames) for job in jobs], executor)
 
 
 def preset_jobs(
@@ -205,7 +208,7 @@ def _render_frames(
         else:
             save_frame(jobs[result.job.clip_index], result.job.frame, result.result())
     for clip, job in enumerate(jobs):
-        if not job.missing_frames:
+        if not (job.missing_frames or job.is_finished):  # a header of more frames stays
             write_header(job.folder, _make_header(job, renderer.open_clip_scene(clip)))
     return errors
 
@@ -228,8 +231,13 @@ def _estimate(jobs: list[Job], executor: Executor) -> str:
     seconds = paths_to_trace / (preset.size[0] * preset.size[1]) * trial_ms / 1e3
     at_most = "at most " if preset.max_reference_rounds > 1 else ""
     alone = f" on this machine alone; {executor.description}" if executor.description else ""
+    frames, clips = (
+        f"{count} {name}{'s' * (count > 1)}"
+        for count, name in ((jobs[0].frames, "frame"), (len(jobs), "clip"))
+    )
+    part = f"{frames} of " * (jobs[0].frames < preset.frames)
     return (
-        f"rendering {len(jobs)} clips of preset {preset.name} with {select_variant()} "
+        f"rendering {part}{clips} of preset {preset.name} with {select_variant()} "
         f"to {jobs[0].folder.parent}: {at_most}{paths_to_trace / 1e6:.0f} million light paths, "
         f"about {format_duration(seconds)}{alone}. "
         "If interrupted, the same command resumes it"
@@ -274,13 +282,15 @@ def render_preset_clips(
     pool_kinds: Collection[str] | None = None,
     takes: str | None = None,
     size: tuple[int, int] | None = None,
+    limit_frames: int | None = None,
 ) -> list[Path]:
     """The clip folders of a preset, after rendering the missing frames.
 
     `size` in pixels (height, width), `radiance_cap` and extra G-buffer `buffers` select a variant
     of the preset, in folders of its own. `scenes`, seeds of generated scenes, and `takes` (main or
     all) replace those of the preset. Of its sample pools only the given kinds are rendered; default
-    all. Raises UnknownPresetError and OptionError for an unknown preset or scene, and PresetError
+    all. With `limit_frames` the frames after the first ones are not rendered; those that are there
+    stay. Raises UnknownPresetError and OptionError for an unknown preset or scene, and PresetError
     for other values.
     """
     selected = presets.get_preset(preset, size)
@@ -296,7 +306,7 @@ def render_preset_clips(
         selected = selected.with_pools(pool_kinds)
     if takes is not None:
         selected = selected.with_takes(takes)
-    return ensure(selected, scenes or None, seeds, executor or LOCAL)
+    return ensure(selected, scenes or None, seeds, executor or LOCAL, limit_frames)
 
 
 def remeasure_sample_ms(folder: Path) -> Header:
@@ -315,7 +325,8 @@ def remeasure_sample_ms(folder: Path) -> Header:
             "measured` times samples on this machine"
         )
     size = header.height, header.width
-    tracer = open_tracer(scene_of_header(header).inspect(header.frames, size), *size)
+    frames = read_whole_length(folder) or header.frames
+    tracer = open_tracer(scene_of_header(header).inspect(frames, size), *size)
     times = measure_trace_times(tracer)
     ratio = times.sample_ms / header.sample_ms if header.sample_ms > 0 else math.nan
     others = (ms * ratio for ms in header.pools_ms[1:])  # the path tracer's pool comes first

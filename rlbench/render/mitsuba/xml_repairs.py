@@ -89,7 +89,7 @@ def repair_nodes(state: Any) -> Notes:
 
 
 def is_night(node: Any) -> bool:
-    """Is the sun of a `sunsky` with a direction below the horizon?"""
+    """True if the sun of a `sunsky` with a direction is below the horizon."""
     found = peek(node)
     if node.props.plugin_name() != "sunsky" or "sun_direction" not in found:
         return False

@@ -90,7 +90,7 @@ def _value_for(element: Any, key: str) -> str:
 
 
 def _turns_nothing(attributes: str) -> bool:
-    """Is it a rotation by 0 about an axis of 0, which Mitsuba refuses?"""
+    """True for a rotation by 0 about an axis of 0, which Mitsuba refuses."""
     found = dict(ATTRIBUTE.findall(attributes))
     try:
         return not any(float(found.get(name, 0)) for name in ("x", "y", "z", "angle"))

@@ -47,6 +47,7 @@ class UserSceneOptions:
     seed: int | None = None  # of a random path, for `wander` alone
     sky: str = ""  # added to the scene: a radiance, white, sun, or the file of a map
     skip_missing: bool = False  # leave out shapes and textures whose files do not exist?
+    limit_frames: int | None = None  # of the clip's frames that are rendered, the first ones
 
 
 @dataclass(frozen=True)
@@ -135,14 +136,15 @@ def plan_clip(
     if folder.exists() and not folder.is_dir():
         raise SceneError(f"--out {folder} is a file; give a folder, which need not exist")
     scene = _make_scene(options, user_scene, path, frames)
-    return Job(name, scene, own_preset, folder), path
+    return Job(name, scene, own_preset, folder, options.limit_frames), path
 
 
 def describe_job(job: Job) -> str:
     """The clip's name, number of frames, size and exposure in one line."""
     preset = job.preset
     size = f"{preset.size[1]}x{preset.size[0]}"
-    return f"{job.name}: {preset.frames} frames of {size}, exposure {job.scene.exposure:g}"
+    part = f"the first {job.frames} of " * (job.frames < preset.frames)
+    return f"{job.name}: {part}{preset.frames} frames of {size}, exposure {job.scene.exposure:g}"
 
 
 def _inspect(

@@ -225,7 +225,7 @@ def _missing_files(entry: CollectionScene, folder: Path) -> tuple[str, ...]:
 
 
 def _is_there(file: PinnedFile, path: Path) -> bool:
-    """Is there a file of the pinned size?"""
+    """True if there is a file of the pinned size."""
     try:
         size = path.stat().st_size
     except OSError:

@@ -244,7 +244,7 @@ def _verify(path: Path, file: PinnedFile) -> None:
 
 
 def _is_intact(path: Path, file: PinnedFile) -> bool:
-    """Has a file the pinned content?"""
+    """True if a file has the pinned content."""
     try:
         has_size = file.bytes in (None, path.stat().st_size)
         return has_size and path.is_file() and blob_id(path) == file.blob

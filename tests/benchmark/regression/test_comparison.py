@@ -207,8 +207,8 @@ def test_a_gate_names_two_rows_and_a_ratio(text, gate):
 @pytest.mark.parametrize(
     ("text", "message"),
     [
-        ("ours/oidn", "is no gate. Write A/B<=1.3"),
-        ("ours/oidn<=0", "is no gate"),
+        ("ours/oidn", "is not a bound. Write A/B<=1.3"),
+        ("ours/oidn<=0", "is not a bound"),
         ("ours/maen<=1", "no two installed methods"),
         ("ours@seed1/ours<=1", "no two installed methods"),
         ("mean@tiles/mean<=1", "no two installed methods"),

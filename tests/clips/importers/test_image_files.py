@@ -96,7 +96,7 @@ def test_data_outside_the_display_window_are_an_error(tmp_path, data):
 
 def test_a_huge_display_window_is_refused_before_it_is_filled(tmp_path):
     path = write_windows(tmp_path / "w.exr", (0, 0, 3, 3), (0, 0, 2**20, 2**20))
-    with pytest.raises(SourceError, match=f"from 1 to {limits.MAX_PIXELS} are read"):
+    with pytest.raises(SourceError, match=f"from 1 to {limits.MAX_IMAGE_PIXELS} are read"):
         read_exr(path, RGB)
 
 

@@ -79,11 +79,14 @@ def test_a_small_zip_does_not_unpack_to_a_gigabyte(tmp_path, shape, chunks):
     tracemalloc.stop()
 
 
-@pytest.mark.parametrize(("pixels", "is_refused"), [(2**26, True), (2**24, False)])
-def test_large_images_of_no_bytes_are_refused_and_small_ones_are_not(tmp_path, pixels, is_refused):
+@pytest.mark.parametrize(
+    ("side", "message"),
+    [(2**12, ""), (2**13, "nearly constant"), (2**13 + 1, "up to 67108864 pixels")],
+)
+def test_large_images_of_no_bytes_are_refused_and_small_ones_are_not(tmp_path, side, message):
     (tmp_path / "a.exr").write_bytes(b"x" * 1000)
-    with pytest.raises(SourceError, match="nearly constant") if is_refused else nullcontext():
-        limits.check_packing("a", [tmp_path / "a.exr"], pixels)
+    with pytest.raises(SourceError, match=message) if message else nullcontext():
+        limits.check_clip("a", [tmp_path / "a.exr"], side, side)
 
 
 def test_a_link_to_itself_is_named(tmp_path):

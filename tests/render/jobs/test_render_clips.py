@@ -319,3 +319,28 @@ def test_a_clip_of_another_machine_is_not_remeasured(timed_folder):
     with pytest.raises(ClipError, match="was rendered on 'abacus'.*times samples on this machine"):
         remeasure_sample_ms(timed_folder)
     write_header(timed_folder, before)
+
+
+@pytest.mark.parametrize("path", [("path",), ("path", "restir")])
+def test_first_frames_are_those_of_the_whole_clip_which_is_finished_later(llvm, tmp_path, path):
+    preset = replace(PRESET, frames=4, pools=path)
+    whole, part = job(tmp_path / "whole", preset=preset), job(tmp_path / "part", preset=preset)
+    render_missing([whole])
+    first = replace(part, limit_frames=2)
+    render_missing([first])
+    assert len(open_clip(part.folder)) == 2
+    assert verify(part.folder) == []
+    assert contents(part.folder).items() < contents(whole.folder).items()
+    assert open_clip(part.folder).digest == open_clip(whole.folder, limit_frames=2).digest
+    assert first.is_finished
+    assert not part.is_finished
+    written_ns = {file: file.stat().st_mtime_ns for file in part.folder.glob("*.exr")}
+    render_missing([part])
+    assert contents(part.folder) == contents(whole.folder)
+    assert {file: file.stat().st_mtime_ns for file in written_ns} == written_ns
+    assert open_clip(part.folder).digest == open_clip(whole.folder).digest
+    (part.folder / "view.0000.exr").unlink()
+    render_missing([first])  # a whole clip stays one
+    assert contents(part.folder) == contents(whole.folder)
+    assert len(open_clip(part.folder)) == 4
+    assert read_header(part.folder).pools == path

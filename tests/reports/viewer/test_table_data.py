@@ -3,8 +3,11 @@
 from __future__ import annotations
 
 import numpy as np
+import pytest
 
+from reports.viewer import choose_opening
 from reports.viewer.data import decision_data, frame_scores, provenance, student_factors
+from tests.reports.formula_results import THREE, table
 
 
 def test_each_scene_has_curves_over_its_clips(results):
@@ -14,6 +17,15 @@ def test_each_scene_has_curves_over_its_clips(results):
     ]  # fmt: skip
     assert [scope["unit"] for scope in psnr["scopes"][:2]] == ["scenes", "clips"]
     assert np.shape(psnr["scopes"][0]["curves"][0]["units"]) == (5, 4)
+
+
+def test_the_page_opens_with_a_deadline_that_half_of_the_denoisers_meet():
+    """They need 3, 7 and 14 ms; in 16.7 ms `slow` has 4.7 ms for samples of 2 ms, and is best."""
+    opening = choose_opening(table(THREE))
+    assert (opening.sample_ms, opening.deadline_ms) == (2.0, 16.7)
+    assert opening.spp == pytest.approx(4.7 / 2)
+    untimed = table(THREE).query("metric == 'psnr'")
+    assert choose_opening(untimed) is None
 
 
 def test_factors_of_the_interval_are_those_of_student():

@@ -82,7 +82,7 @@ def _files() -> set[str]:
 
 
 def _moves(scene: Any, camera: Any) -> bool:
-    """May anything but the camera change with time? True if that cannot be ruled out."""
+    """True if anything but the camera may change with time, or that cannot be ruled out."""
     parts = [
         getattr(bpy.data, name)
         for name in ("objects", "meshes", "curves", "lights", "materials", "worlds", "armatures")
