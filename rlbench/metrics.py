@@ -15,7 +15,7 @@
 
 There is a function for each metric of `rlbench list metrics`, those of plugins too, with the
 arguments of `score`: `psnr`, `ssim`, `ms_ssim`, `mse`, `relmse`, `relmse_trimmed`, `smape`, `bias`,
-`nonfinite`, `flip`, `hdr_flip`, `lpips`; with a pair of half references `psnr_debiased`,
+`rel_l2`, `nonfinite`, `flip`, `hdr_flip`, `lpips`; with a pair of half references `psnr_debiased`,
 `mse_debiased` and `blotches`; of frames in order `tpsnr`, `psnr_late`, `drift`, `warped_error`,
 `flicker`, `image_flicker` and `cvvdp`; with counts `effort_error`, `effort_noise` and `at_cap`.
 Values equal those in the rows of `rlbench run`.

@@ -15,6 +15,7 @@ OFFSETS = (  # of the blocks in frame i mod 16, (right, down) in pixels, from th
 )
 UNSCALED = 4  # features that are used as they are: the constant and the normal
 FEATURES = 10
+MAX_DEPTH = 1e9  # so that the squares of positions are finite
 RIDGE = 1e-3  # of every coefficient: blocks without a surface have a solution, 0
 HASH_FACTOR, HASH_MASK = 0x45D9F3B, 2**32 - 1  # of a 32-bit integer hash (Mueller's)
 
@@ -83,13 +84,13 @@ def _cover(start: Int[Tensor, "n 1"], size: int) -> tuple[Int[Tensor, "n side"],
 def stack_features(
     normal: Float[Tensor, "n 3 h w"], depth: Float[Tensor, "n 1 h w"]
 ) -> Float[Tensor, "n 10 h w"]:
-    """1, normal, position in camera space, and its squares; depth is finite."""
+    """1, normal, position in camera space, and its squares; depth is finite, at most 1e9."""
     _, _, h, w = depth.shape
     x, y = (torch.arange(s, device=depth.device) - (s - 1) / 2 for s in (w, h))
     ray = torch.stack(
         (x.expand(h, w) / h, y[:, None].expand(h, w) / h, torch.ones_like(depth[0, 0]))
     )
-    position = depth * ray
+    position = depth.clamp_max(MAX_DEPTH) * ray
     return torch.cat((torch.ones_like(depth), normal, position, position.square()), 1)
 
 

@@ -10,6 +10,8 @@ from jaxtyping import Float
 from torch import Tensor
 from torch.nn import functional as F
 
+from baselines.cross.pilots import mirror
+
 SIDE = 11  # pixels
 REACH = SIDE // 2
 STRIP_PIXELS = 2**14  # on a CPU, so that a strip stays in its cache
@@ -68,7 +70,7 @@ class _FilterPilots(torch.autograd.Function):
 def _join_rows(image: Float[Tensor, "n c h w"], border: int = REACH) -> Float[Tensor, "n c row"]:
     """Rows end to end, each with space for the taps beyond both of its ends."""
     if border:
-        image = F.pad(image, (border,) * 4, mode="reflect")
+        image = mirror(image, border)
         ones = torch.ones_like(image[:, :1])
         return torch.cat((image, ones), 1).flatten(2)
     return F.pad(image, (0, 2 * REACH)).flatten(2)

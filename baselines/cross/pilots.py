@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 import torch
-from jaxtyping import Float
+from jaxtyping import Float, Int
 from torch import Tensor
 from torch.nn import functional as F
 
@@ -71,7 +71,7 @@ def _fit(
     guide: Float[Tensor, "n 11 h w"], response: Float[Tensor, "n 3 h w"]
 ) -> Float[Tensor, "n 18 rows columns"]:
     """The coefficients of all windows, those of a channel together."""
-    images = F.pad(torch.cat((guide, response), 1), (REACH,) * 4, mode="reflect")
+    images = mirror(torch.cat((guide, response), 1), REACH)
     windows = images.unfold(2, SIDE, STEP).unfold(3, SIDE, STEP)  # n 14 rows columns 17 17
     n, _, rows, columns = windows.shape[:4]
     strips = []
@@ -87,6 +87,24 @@ def _fit(
         strips.append(torch.cholesky_solve(target, factor)[..., 0])  # n 3 windows 6
     solved = torch.cat(strips, 2).transpose(2, 3)
     return solved.reshape(n, 3 * COEFFICIENTS, rows, columns)
+
+
+def mirror(image: Float[Tensor, "n c h w"], reach: int) -> Float[Tensor, "n c h2 w2"]:
+    """The image with `reach` more pixels on all sides, mirrored at its border pixels.
+
+    An image of `reach` pixels or fewer is mirrored several times.
+    """
+    h, w = image.shape[2:]
+    if min(h, w) > reach:
+        return F.pad(image, (reach,) * 4, mode="reflect")
+    rows, columns = (_mirrored_indices(size, reach, image.device) for size in (h, w))
+    return image[..., rows[:, None], columns]
+
+
+def _mirrored_indices(size: int, reach: int, device: torch.device) -> Int[Tensor, " side"]:
+    period = max(2 * size - 2, 1)
+    position = torch.arange(-reach, size + reach, device=device) % period
+    return torch.minimum(position, period - position) if size > 1 else 0 * position
 
 
 def _strips(rows: int, columns: int) -> Iterator[slice]:

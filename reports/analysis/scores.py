@@ -48,6 +48,14 @@ def keep_first_frames(rows: pd.DataFrame) -> pd.DataFrame:
     return rows[rows["frame"] == rows.groupby("clip")["frame"].transform("min")]
 
 
+def keep_last_frames(rows: pd.DataFrame) -> pd.DataFrame:
+    """The rows of the last quarter of the frames of each clip, at least one frame."""
+    frames = rows[rows["frame"] >= 0].groupby("clip")["frame"]
+    end, count = frames.max(), frames.nunique()
+    first = end - (count // 4).clip(lower=1) + 1
+    return rows[rows["frame"] >= rows["clip"].map(first)]
+
+
 def mean_over_scenes(per_scene: pd.DataFrame) -> pd.DataFrame:
     """Mean over scenes of each method and budget that has every scene of the table.
 

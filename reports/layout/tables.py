@@ -29,6 +29,7 @@ SCORE_NAMES = {
     "ms_ssim": "MS-SSIM",
     "ssim": "SSIM",
     "relmse": "relMSE",
+    "rel_l2": "relL2",
     "smape": "SMAPE",
     "flip": "FLIP",
     "hdr_flip": "HDR-FLIP",

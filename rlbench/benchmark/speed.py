@@ -179,7 +179,8 @@ def _load(
     on_progress: ProgressCallback,
 ) -> _Loaded:
     counted = dict(work[configuration.method].result())
-    row = TimedRow(configuration.load(device), clip, SPP)
+    method = configuration.load(device)
+    row = TimedRow(method, clip, timed_spp(method))
     counted["state_bytes"] = state_bytes(row.method, clip) / (clip.size.h * clip.size.w)
     if configuration.backend == EAGER and device.type == "cpu":
         counted["memory_mb"] = peak_memory(row.method, clip) / 2**20
@@ -236,7 +237,7 @@ def speed_page(table: pd.DataFrame, device: str) -> str:
     legend = "; ".join(f"*{SHOWN[name]}*: {COLUMNS[name]}" for name in list(SHOWN)[1:])
     parts = [
         "# Speed of methods",
-        f"One frame at 1 spp, generated, on {device}. {legend}.",
+        f"One frame at 1 spp, or the least that a row takes, generated, on {device}. {legend}.",
     ]
     for (height, width), rows in table.groupby(["height", "width"], sort=False):
         parts += [f"## {width} x {height}", *_lines(rows)]
@@ -265,10 +266,15 @@ def generated_clip(size: tuple[int, int], device: torch.device) -> InMemoryClip:
     return InMemoryClip(f"{size[1]}x{size[0]}", clip.scene, clip.digest, list(clip))
 
 
+def timed_spp(method: Method) -> float:
+    """The budget of a timed frame: 1 spp, or the least that the method takes."""
+    return max(SPP, float(method.traits.min_samples))
+
+
 def count_multiply_adds(method: Method, device: torch.device) -> float:
     """Multiply-adds per pixel of all convolutions and matrix products in a frame with history."""
     clip = generated_clip((COUNTED_SIDE, COUNTED_SIDE), device)
-    results = run_clip(method, clip, SPP)
+    results = run_clip(method, clip, timed_spp(method))
     next(results)
     with FlopCounterMode(display=False) as counter:
         next(results)
@@ -284,7 +290,7 @@ def count_parameters(method: Method) -> int:
 def state_bytes(method: Method, clip: Clip) -> int:
     """Bytes of all tensors in the state after two frames."""
     keeping = _KeepingState(method, [])
-    results = run_clip(keeping, clip, SPP)
+    results = run_clip(keeping, clip, timed_spp(method))
     next(results), next(results)
     return sum(tensor.numel() * tensor.element_size() for tensor in iterate_tensors(keeping.states))
 
@@ -292,7 +298,7 @@ def state_bytes(method: Method, clip: Clip) -> int:
 def peak_memory(method: Method, clip: Clip) -> int:
     """Most bytes that PyTorch had allocated at once during the second frame, less those before."""
     os.environ.setdefault("KINETO_LOG_LEVEL", "99")  # the profiler's log goes to the error stream
-    results = run_clip(method, clip, SPP)
+    results = run_clip(method, clip, timed_spp(method))
     next(results)
     with profile(activities=[ProfilerActivity.CPU], profile_memory=True) as profiler:
         next(results)

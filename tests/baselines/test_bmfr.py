@@ -21,6 +21,7 @@ from baselines.bmfr.regression import (
     stack_features,
 )
 from rlbench.frames import GBuffer, Samples, Size
+from rlbench.ops.color import REC709_LUMINANCE
 from rlbench.ops.demodulation import reflectance, surface_mask
 from rlbench.ops.surface_taps import find_surface_taps
 from tests.baselines import regression_twins as twins
@@ -120,7 +121,8 @@ def test_every_frame_equals_plain_loops():
 def denoise_in_loops(moving: Moving, state, index: int):
     surface, depth, normal = surface_of(moving.gbuffer)
     mask, albedo = array(surface) > 0, array(reflectance(moving.gbuffer.albedo))
-    now = array(depth)[..., 0], array(normal)
+    mask = mask & ~outshines(np.where(mask, moving.noisy / albedo, 0) @ REC709_LUMINANCE, mask)
+    now = np.where(mask, array(depth), 0)[..., 0], np.where(mask, array(normal), 0)
     light = np.where(mask, moving.noisy / albedo, 0)
     length = mask[..., 0].astype(float)
     motion = moving.arrays[3]
@@ -132,7 +134,7 @@ def denoise_in_loops(moving: Moving, state, index: int):
         alpha = np.where(mask, np.maximum(1 / np.maximum(length, 1)[..., None], 0.2), 0)
         light = alpha * light + (1 - alpha) * old[..., :3]
         old_filtered = old[..., 3:6]
-    features = array(stack_features(normal, depth))
+    features = array(stack_features(normal, depth)) * mask
     noise = feature_noise(torch.tensor([index]), 0.01)[0, :, 0].double().numpy()
     fitted = twins.fit_by_blocks(light, features, mask[..., 0], OFFSETS[index], noise, RIDGE)
     alpha = np.where(mask, np.maximum(1 / np.maximum(length, 1)[..., None], 0.1), 0)
@@ -150,6 +152,39 @@ def denoise_in_loops(moving: Moving, state, index: int):
         image = np.where(inside[..., None], twins.antialias(image, moved, 0.2), image)
     state = {"light": light, "filtered": filtered, "length": length, "image": image}
     return np.expm1(image * np.log(65)) / 64, state | {"surface": now}
+
+
+def outshines(brightness: np.ndarray, known: np.ndarray) -> np.ndarray:
+    """16 times the geometric mean over 16 x 16 tiles, each the mean of its known pixels."""
+    logs = []
+    for y in range(0, len(brightness), 16):
+        for x in range(0, len(brightness[0]), 16):
+            tile, counted = (part[y : y + 16, x : x + 16] for part in (brightness, known[..., 0]))
+            logs += [np.log(tile[counted].mean())] if counted.any() else []
+    return (brightness > 16 * np.exp(np.mean(logs)))[..., None]
+
+
+def test_a_lamp_that_reflects_does_not_light_the_wall_around_it():
+    """Nor in the history of a moving camera."""
+    lamp = torch.zeros(1, 1, 32, 32, dtype=torch.bool)
+    lamp[..., 10:14, 10:14] = True
+    radiance = torch.where(lamp, 20.0, torch.full((1, 3, 32, 32), 0.5))
+    albedo = torch.where(lamp, 0.05, torch.full((1, 3, 32, 32), 0.5))
+    gbuffers = [GBuffer({**frame(i).gbuffer.buffers, "albedo": albedo}) for i in range(FRAMES)]
+    image = run([Moving(gbuffer, radiance) for gbuffer in gbuffers], alpha_image=1.0)[-1]
+    wall = (surface_of(gbuffers[-1])[0] & ~lamp).expand_as(image)
+    # the albedo of an area jumps beside the lamp
+    torch.testing.assert_close(image[wall], radiance[wall], rtol=0, atol=0.15)
+    lamp = lamp.expand_as(image)
+    torch.testing.assert_close(image[lamp], radiance[lamp])
+
+
+def test_a_point_far_away_leaves_the_fit_finite():
+    depth = torch.full((1, 1, 32, 32), 5.0)
+    depth[..., 7, 9] = 1e30
+    features = stack_features(torch.ones(1, 3, 32, 32) / 3**0.5, depth)
+    light, surface = random_tensor(1, 3, 32, 32), depth > 0
+    assert fit_blocks(light, features, surface, torch.tensor([0]), noise=0.01).isfinite().all()
 
 
 def test_antialiasing_is_that_of_loops_and_keeps_what_is_new():

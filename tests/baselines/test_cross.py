@@ -20,7 +20,7 @@ from baselines.cross.method import (
     self_supervised_loss,
 )
 from baselines.cross.network import INPUTS, LAYERS, PARAMETERS, Learner, predict, random_weights
-from baselines.cross.pilots import regress, split_halves
+from baselines.cross.pilots import mirror, regress, split_halves
 from rlbench.clips.procedural.clip import procedural_clip
 from rlbench.frames import GBuffer, Samples, Size
 from rlbench.run import run_clip, unroll
@@ -52,6 +52,13 @@ def test_the_halves_are_the_even_and_the_odd_samples():
     torch.testing.assert_close(second[..., 0], radiance[:, [1, 3], :, :, 0].mean(1))
     assert torch.equal(first[..., 1], radiance[:, 0, :, :, 1])
     assert torch.equal(second[..., 1], radiance[:, 1, :, :, 1])
+
+
+@pytest.mark.parametrize("size", [(1, 1), (3, 17), (9, 10)], ids=str)
+def test_borders_are_mirrored_at_any_size(size):
+    image = random_tensor(1, 1, *size)
+    expected = np.pad(image[0, 0].numpy(), 8, mode="reflect")
+    assert torch.equal(mirror(image, 8)[0, 0], torch.from_numpy(expected))
 
 
 def test_a_pixel_with_one_sample_has_it_in_both_halves():
@@ -242,11 +249,12 @@ def test_the_network_begins_anew_where_nothing_has_history():
     assert [int(each.learner.steps) for each in (second.state, state)] == [2, 1]
 
 
-def test_broken_weights_begin_anew():
+@pytest.mark.parametrize("factor", [torch.nan, 65504.0])
+def test_broken_weights_begin_anew(factor):
     method = build("", CPU, None)
     first, second = run(method, 2)
     learner = first.state.learner
-    broken = first.state._replace(learner=learner._replace(weights=learner.weights * torch.nan))
+    broken = first.state._replace(learner=learner._replace(weights=learner.weights * factor))
     image, state = method.denoise(second.frame.gbuffer, second.samples, broken)
     assert image.isfinite().all()
     assert float(state.learner.steps) == 1

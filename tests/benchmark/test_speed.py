@@ -69,6 +69,12 @@ def test_the_table_has_each_configuration_at_each_size(table):
     assert list(zip(table.height, table.width, strict=True)) == [s for s in SIZES for _ in names]
 
 
+def test_a_row_that_needs_two_samples_is_timed_with_two():
+    line = measure_speed([Configuration("cross")], [(32, 32)], CPU, repeats=1).iloc[0]
+    assert line.denoise_ms > 0
+    assert line.state_bytes > 13 * 4  # image, both pilots, depth, normal; and the learner
+
+
 def test_the_parts_of_inference_add_up(table):
     parts = table.plan_ms + table.allocate_ms + table.denoise_ms
     pd.testing.assert_series_equal(parts, table.inference_ms, check_names=False)

@@ -10,6 +10,7 @@ from metric_images import frame_of, image_pair
 
 from metrics.catalog import BIAS, MSE_DEBIASED, RELMSE, RELMSE_TRIMMED, SMAPE
 from metrics.image import mse_debiased, nonfinite
+from metrics.rel_l2 import REL_L2
 
 NONFINITE = (math.nan, math.inf, -math.inf)
 
@@ -20,6 +21,7 @@ def scored(metric):
 
 
 relmse, relmse_trimmed, smape, bias = map(scored, (RELMSE, RELMSE_TRIMMED, SMAPE, BIAS))
+rel_l2 = scored(REL_L2)
 
 
 @pytest.mark.parametrize("size", [(5, 9), (1, 1)])
@@ -32,6 +34,17 @@ def test_relmse_equals_a_loop(size):
         ]
         expected.append(float(sum(terms) / len(terms)))
     assert relmse(image, reference).tolist() == pytest.approx(expected, rel=1e-6)  # float32 result
+
+
+@pytest.mark.parametrize("size", [(5, 9), (1, 1)])
+def test_rel_l2_equals_a_loop_over_pixels(size):
+    image, reference = image_pair(*size)
+    expected = []
+    for x, r in zip(image.double(), reference.double(), strict=True):
+        pixels = zip(x.flatten(1).T, r.flatten(1).T, strict=True)
+        terms = [float(((p - q) ** 2).mean() / (q.mean() ** 2 + 0.01)) for p, q in pixels]
+        expected.append(sum(terms) / len(terms))
+    assert rel_l2(image, reference).tolist() == pytest.approx(expected, rel=1e-6)  # float32 result
 
 
 @pytest.mark.parametrize("exposure", [1.0, 0.01])
@@ -81,12 +94,12 @@ def test_relmse_of_black_against_black_is_zero():
 
 
 @pytest.mark.parametrize("value", [*NONFINITE, 1e38, -1e38])
-@pytest.mark.parametrize("metric", ["relmse", "mse_debiased"])
+@pytest.mark.parametrize("metric", ["relmse", "rel_l2", "mse_debiased"])
 def test_linear_errors_of_extreme_pixels_are_finite_and_large(metric, value):
     image, reference = image_pair(16, 16, n=1)
     damaged = image.clone()
     damaged[0, 0, 3, 3] = value
-    score = {"relmse": relmse, "mse_debiased": scored(MSE_DEBIASED)}[metric]
+    score = {"relmse": relmse, "rel_l2": rel_l2, "mse_debiased": scored(MSE_DEBIASED)}[metric]
     assert math.isfinite(float(score(damaged, reference)))
     assert float(score(damaged, reference)) > 1e5 * float(score(image, reference))
 

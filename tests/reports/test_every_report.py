@@ -31,7 +31,7 @@ FILES = {name: [f"{name}.{suffix}" for suffix in PAGE] for name in REPORTS} | {
 FILES["recovery"] = [f"recovery.{suffix}" for suffix in (*PAGE, *FIGURE)]
 FILES["paper-pareto"] = [f"paper-{axis}.{s}" for axis in ("spp", "time") for s in FIGURE]
 FILES["paper-pareto"] += ["paper-pareto.csv"]
-PLAIN = ("summary", "clips")  # which any scores satisfy
+PLAIN = ("summary", "clips", "last-frames")  # which any scores satisfy
 
 
 def writer(name):

@@ -280,11 +280,12 @@ def measure_gates(
     Raises OptionError for a row that fails.
     """
     from rlbench.benchmark.latency import TimedRow, time_methods
-    from rlbench.benchmark.speed import SPP, generated_clip
+    from rlbench.benchmark.speed import generated_clip, timed_spp
 
     names = list(dict.fromkeys(name for gate in gates for name in (gate.row, gate.reference)))
     clip = generated_clip(SIZE, device)
-    rows = [TimedRow(_configuration(name).load(device), clip, SPP) for name in names]
+    methods = [_configuration(name).load(device) for name in names]
+    rows = [TimedRow(method, clip, timed_spp(method)) for method in methods]
     timings: dict[str, Timing] = {}
     outcomes = time_methods(rows, device, repeats, on_done=on_done)
     for name, outcome in zip(names, outcomes, strict=True):
