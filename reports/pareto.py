@@ -156,10 +156,7 @@ def _missing_methods(scores: Scores) -> str:
         "Without a time on every scene": untimed,
     }
     lines = [f"{title}: {', '.join(sorted(who))}." for title, who in missing.items() if who]
-    return "".join(
-        f"\n{line}"
-        for line in (*lines, *(f"Uncertain: {each}." for each in scores.uncertain_times))
-    )
+    return "".join(f"\n{line}" for line in (*lines, *filter(None, [scores.remark_on_times])))
 
 
 def draw_pareto(plotted: pd.DataFrame, labels: Labels) -> Figure:

@@ -208,7 +208,7 @@ def _caption(scores: Scores, curves: Sequence[Curve]) -> str:
     sizes = sorted(set(scores.measured["size"]) - {""})
     at_size = f" at {', '.join(sizes)}" if sizes else ""
     missing = "".join(f"\n{line}." for line in methods_without_curve(scores, curves))
-    missing += "".join(f"\nUncertain: {line}." for line in scores.uncertain_times)
+    missing += f"\n{scores.remark_on_times}".rstrip()
     return (
         f"Best mean {score_name(scores.metric)} over scenes, {describe_clips(scores.measured)}. "
         f"Frame time: G-buffer, as many samples as in the results + plan + allocate + denoise on "

@@ -173,6 +173,13 @@ class Scores:
         """Which times have a wide interval and why, one sentence for each part and reason."""
         return uncertain_times(self.rows)
 
+    @property
+    def remark_on_times(self) -> str:
+        """One line on uncertain times, for figures; empty where there are none."""
+        lines = self.uncertain_times
+        more = f", and {len(lines) - 1} more in the report summary" * (len(lines) > 1)
+        return f"Uncertain: {lines[0]}{more}." if lines else ""
+
     @cached_property
     def device_mixes(self) -> dict[str, list[str]]:
         """The methods whose frame times add times of two devices, by a text that names both."""
