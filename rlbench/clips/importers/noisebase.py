@@ -48,6 +48,12 @@ LEADING_AXIS = {  # length of the first axis of each array; h, w and mostly samp
     "normal": 3,
     "diffuse": 3,
 }
+FIXED_SHAPES = {
+    "exposure": (2,),
+    "camera_position": (3,),
+    "camera_target": (3,),
+    "view_proj_mat": (4, 4),
+}
 PER_PIXEL = ("reference",)  # arrays without an axis of samples
 
 
@@ -99,7 +105,7 @@ def _size(path: Path) -> tuple[int, int, int]:
     with open_archive(path) as archive:
         if "reference/.zarray" not in archive.NameToInfo:
             raise SourceError(f"{path} has no 'reference', so nothing can be scored on it")
-        shapes = read_shapes(archive, list(LEADING_AXIS))
+        shapes = read_shapes(archive, [*LEADING_AXIS, *FIXED_SHAPES])
     if len(shapes["color"]) != 4:
         raise SourceError(f"{path}: color is of shape {shapes['color']}, expected 4, h, w, samples")
     _, h, w, s = shapes["color"]
@@ -108,6 +114,9 @@ def _size(path: Path) -> tuple[int, int, int]:
         expected = (leading, h, w) if key in PER_PIXEL else (leading, h, w, s)
         if shapes[key] != expected:
             raise SourceError(f"{path}: {key} is of shape {shapes[key]}, expected {expected}")
+    for key, expected_shape in FIXED_SHAPES.items():
+        if shapes[key] != expected_shape:
+            raise SourceError(f"{path}: {key} is of shape {shapes[key]}, expected {expected_shape}")
     return h, w, s
 
 
@@ -161,11 +170,6 @@ def _camera(archive: zipfile.ZipFile) -> Camera:
         read_array(archive, key).astype(np.float64)
         for key in ("camera_target", "camera_position", "view_proj_mat")
     )
-    if (target.shape, position.shape, matrix.shape) != ((3,), (3,), (4, 4)):
-        raise SourceError(
-            f"{archive.filename}: camera_position, camera_target and view_proj_mat are of shape "
-            f"{position.shape}, {target.shape} and {matrix.shape}, expected (3,), (3,) and (4, 4)"
-        )
     forward = target - position
     return Camera(position, forward / np.linalg.norm(forward), matrix)
 

@@ -150,6 +150,14 @@ BROKEN = {
         lambda p: _with_arrays(p, position=np.zeros((3, H, W, 2), np.float32)),
         r"position is of shape \(3, 12, 16, 2\), expected \(3, 12, 16, 6\)",
     ),
+    "three exposures": (
+        lambda p: _with_arrays(p, exposure=np.zeros(3, np.float32)),
+        r"exposure is of shape \(3,\), expected \(2,\)",
+    ),
+    "a camera of two numbers": (
+        lambda p: _with_arrays(p, camera_target=np.zeros(2, np.float32)),
+        r"camera_target is of shape \(2,\), expected \(3,\)",
+    ),
     "a crop": (
         lambda p: _with_arrays(p, position=np.roll(noisebase_arrays(1)["position"], 3, axis=2)),
         r"project \d+\.\d pixels away from their own pixels .* crop",
