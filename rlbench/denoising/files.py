@@ -16,7 +16,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import torch
 
 from rlbench.clips.exr import ExrHeaderError
 from rlbench.clips.exr_attributes import read_strings
@@ -27,13 +26,13 @@ from rlbench.clips.importers.dump_frame import FLIPS, image_channels
 from rlbench.clips.importers.formats import FORMATS
 from rlbench.clips.importers.image_files import find_channels, read_exr_image
 from rlbench.clips.importers.layout import Layout, Reference, read_layout
-from rlbench.clips.importers.sequence import ImportedSequence, Pixels, SourceError, select_frames
+from rlbench.clips.importers.sequence import ImportedSequence, SourceError, select_frames
 from rlbench.clips.importers.sky import add_sky_motion
 from rlbench.clips.importers.writer import MAX_EXPOSURE_FRAMES
 from rlbench.clips.primaries import Chromaticities, format_chromaticities
 from rlbench.denoise import NoisyFrame, estimate_exposure
 from rlbench.denoising.loose import is_blender, match_loose_images, parse_loose_image
-from rlbench.denoising.passes import DenoisedParts, LightPass, Part, find_passes
+from rlbench.denoising.passes import DenoisedParts, LightPass, Part, find_passes, to_tensor
 from rlbench.frames import GBuffer
 
 __all__ = ["GapError", "NoMotionError", "NoisySequence", "find_noisy_sequences"]
@@ -115,10 +114,10 @@ class NoisySequence:
     def read(self, index: int) -> NoisyFrame:
         """A frame; values that are not finite stay. Raises SourceError."""
         frame = self.sequence.read(self.sequence.numbers[index], 1)
-        buffers = {name: _to_tensor(pixels) for name, pixels in frame.gbuffer.items()}
+        buffers = {name: to_tensor(pixels) for name, pixels in frame.gbuffer.items()}
         is_static = self.is_static or NO_MOTION in self.sequence.limitations
         return NoisyFrame(
-            GBuffer(buffers, static=is_static), _to_tensor(frame.pool[0]), self.read_spp(index)
+            GBuffer(buffers, static=is_static), to_tensor(frame.pool[0]), self.read_spp(index)
         )
 
     def read_spp(self, index: int) -> float:
@@ -136,7 +135,7 @@ class NoisySequence:
         """The exposure for the means of up to 8 frames of the whole shot. Raises SourceError."""
         channels = image_channels("radiance", self.layout)
         images = (read_exr_image(file, channels).pixels for file in self.overview)
-        return estimate_exposure(_to_tensor(image)[0] for image in images)
+        return estimate_exposure(to_tensor(image)[0] for image in images)
 
     def read_parts(self, index: int) -> dict[str, Part]:
         """The passes of a frame. Raises SourceError."""
@@ -362,9 +361,3 @@ def _check_sequence(sequence: ImportedSequence, has_motion: bool) -> None:
             'missing_motion = "flow" in a layout, say with --static that nothing moves, or take a '
             "row without a memory: -m oidn"
         )
-
-
-def _to_tensor(pixels: Pixels) -> torch.Tensor:
-    """An image [h w c] as [1 c h w], float32."""
-    image = torch.from_numpy(np.ascontiguousarray(pixels, np.float32))
-    return image.movedim(-1, 0)[None].contiguous()

@@ -60,7 +60,9 @@ class LightPass:
         The images are flipped along these axes.
         """
         light, colour = (
-            _to_tensor(np.flip(read_exr_image(path, each, window=window).pixels, flip))
+            to_tensor(np.flip(read_exr_image(path, each, window=window).pixels, flip))
+            .nan_to_num(0, 0, 0)
+            .clamp_min(0)
             if each
             else torch.ones(1, 3, 1, 1)
             for each in (self.light, self.colour)
@@ -204,6 +206,7 @@ def _find_rest(mean: Tensor, parts: Mapping[str, Tensor]) -> Tensor | None:
     return None if is_rounding.all() else difference.clamp_min(0)
 
 
-def _to_tensor(pixels: Pixels) -> Float[Tensor, "1 3 h w"]:
-    image = torch.from_numpy(pixels.astype("float32")).nan_to_num(0, 0, 0).clamp_min(0)
+def to_tensor(pixels: Pixels) -> Float[Tensor, "1 c h w"]:
+    """An image [h w c] as a tensor, float32."""
+    image = torch.from_numpy(np.ascontiguousarray(pixels, np.float32))
     return image.movedim(-1, 0)[None].contiguous()
