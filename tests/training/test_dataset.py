@@ -23,7 +23,7 @@ def rendered(monkeypatch: pytest.MonkeyPatch) -> list[tuple]:
     """The preset, scenes and seeds of all clips that are requested; none is rendered."""
     requested = []
 
-    def ensure(preset, scenes, seeds, executor):
+    def ensure(preset, scenes, seeds, executor, limit_frames):
         requested.append((preset.name, scenes, seeds))
         return [Path(preset.name, str(name)) for name in scenes or seeds or range(4)]
 
