@@ -36,9 +36,7 @@ class Curve:
     fixed_ms: Numbers  # [budgets], plan + allocate + denoise, mean over scenes
     samples: Numbers  # [budgets], time of the drawn samples of a pixel, in path samples
     late_ms: Numbers  # [budgets], as fixed_ms, but p95
-    low_ms: (
-        Numbers  # [budgets], low end of the interval of fixed_ms, which it is where that is narrow
-    )
+    low_ms: Numbers  # [budgets], low end of the interval of fixed_ms; fixed_ms where it is narrow
     high_ms: Numbers  # [budgets], high end, likewise
     sign: int  # 1 where high scores are better, -1 where low ones are
     gbuffer_samples: float = 0.0  # time of the G-buffer, in path samples

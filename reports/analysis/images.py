@@ -17,7 +17,6 @@ if TYPE_CHECKING:
     from rlbench.benchmark.shown_clips import ShownClip, ShownImages
 
 KNEE = 0.0031308  # IEC 61966-2-1: linear value below which the curve is a straight line
-REC_709 = (0.2126, 0.7152, 0.0722)  # weights of linear R, G and B in luminance
 CAP_DB = 100.0  # PSNR of equal images
 Floats = NDArray[np.floating[Any]]
 

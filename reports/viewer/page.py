@@ -22,7 +22,7 @@ from reports.layout.files import finished_file
 from reports.layout.page import describe_clips
 from reports.layout.style import line_styles
 from reports.viewer.data import decision_data, frame_scores, provenance, student_factors, table_data
-from reports.viewer.opening import choose_opening
+from reports.viewer.opening import Opening, choose_opening
 from reports.viewer.pictures import MAX_METHODS, pack_clips
 from rlbench.benchmark.results import WIDE
 
@@ -44,10 +44,12 @@ def write(
     traits: Mapping[str, Mapping[str, Any]] | None = None,
     remarks: Sequence[str] = (),
     max_bytes: int = 20_000_000,
+    opening: Opening | None = None,
 ) -> list[str]:
     """Write the page `file`, at most `max_bytes` long, and return remarks on what it leaves out.
 
-    `traits` describes methods, for filters, and `remarks` says why there are no images. Equal
+    `traits` describes methods, for filters, and `remarks` says why there are no images. `opening`
+    is the first question, if it was chosen already. Equal
     arguments give equal bytes. Raises ReportError if rows cannot be compared, and PicturesError if
     the images do not fit.
     """
@@ -55,7 +57,7 @@ def write(
     for rows in devices.values():
         check_comparable(rows)
     chosen, left_out = _select_methods(clips, results)
-    opening = choose_opening(results)
+    opening = opening or choose_opening(results)
     data = {
         **_data_of_every_page(describe_clips(results), [*remarks, *left_out]),
         "devices": [

@@ -10,6 +10,7 @@ import typer
 from rlbench.cli import options
 from rlbench.cli.methods import load_plugins
 from rlbench.cli.options import CLIPS, METHODS, complete_methods, number, option
+from rlbench.denoising import UNKNOWN_SPP, WARM_UP
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -20,8 +21,6 @@ if TYPE_CHECKING:
 DEFAULT_METHOD = "accumulate/intel"  # of frames with motion vectors
 DEFAULT_ALONE = "oidn"  # of one image, and of frames that do not belong together
 LARGE = 2**31  # bytes of memory that are worth a note
-WARM_UP, UNKNOWN_SPP = 16, 8  # those of rlbench.denoising.files, which imports torch
-
 
 Images = Annotated[
     str | None,
@@ -80,7 +79,7 @@ def denoise(
         option(
             CLIPS,
             "samples per pixel of each image; default: as its file says, else "
-            f"{UNKNOWN_SPP} is taken",
+            f"{UNKNOWN_SPP:g} is taken",
             value="SPP",
             min=1.0,
         ),

@@ -84,7 +84,7 @@ def view(
         remarks = [f"the page has decision and table alone: {reason}"] if reason else []
         traits = {name: describe_traits(name) for name in sorted(set(rows["method"]))}
         remarks += reports.viewer.write(
-            rows, target, list(clips_to_show), traits, remarks, int(max_mb * 1e6)
+            rows, target, list(clips_to_show), traits, remarks, int(max_mb * 1e6), opening
         )
         remarks += uncertainty_remark(rows, results)
     typer.echo(target)

@@ -67,12 +67,13 @@ def _replace(
     hidden: dict[tuple[int, str], bytes],
 ) -> None:
     with OpenEXR.File(str(source), separate_channels=True) as file:
+        parts = {part.name(): part for part in file.parts}
+        is_whole = len(file.parts) == len(read_exr_parts(source))
         for image in images:
-            is_part = image.header.is_part
-            parts = {part.name() if is_part else "": part for part in file.parts}
-            if image.header.name not in parts or len(file.parts) != len(read_exr_parts(source)):
+            part = parts.get(image.header.name) if image.header.is_part else file.parts[0]
+            if part is None or not is_whole:
                 raise ExrHeaderError("one of its parts is damaged or unfinished")
-            image.put(parts[image.header.name])
+            image.put(part)
         for part in file.parts:
             if part.header["compression"] in LOSSY:
                 part.header["compression"] = OpenEXR.ZIP_COMPRESSION

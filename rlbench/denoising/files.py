@@ -31,14 +31,20 @@ from rlbench.clips.importers.sky import add_sky_motion
 from rlbench.clips.importers.writer import MAX_EXPOSURE_FRAMES
 from rlbench.clips.primaries import Chromaticities, format_chromaticities
 from rlbench.denoise import NoisyFrame, estimate_exposure
+from rlbench.denoising import UNKNOWN_SPP, WARM_UP
 from rlbench.denoising.loose import is_blender, match_loose_images, parse_loose_image
-from rlbench.denoising.passes import DenoisedParts, LightPass, Part, find_passes, to_tensor
+from rlbench.denoising.passes import (
+    DenoisedParts,
+    LightPass,
+    Part,
+    find_passes,
+    read_parts,
+    to_tensor,
+)
 from rlbench.frames import GBuffer
 
 __all__ = ["GapError", "NoMotionError", "NoisySequence", "find_noisy_sequences"]
 
-WARM_UP = 16  # frames before a piece of a shot that fill the memory
-UNKNOWN_SPP = 8.0  # taken where neither the user nor the file says how many samples a pixel has
 SAMPLES_ATTRIBUTE = re.compile(r"cycles\..*\.samples")  # by Blender, for each view layer
 NO_MOTION = "no motion"  # the limitation of a sequence with motion of 0 in place of its own
 WIDTHS = range(1, 7)  # digits of samples per pixel in a file name
@@ -140,7 +146,7 @@ class NoisySequence:
     def read_parts(self, index: int) -> dict[str, Part]:
         """The passes of a frame. Raises SourceError."""
         file, flip = self.sequence.radiance[index], FLIPS[self.layout.radiance.flip]
-        return {each.name: each.read(file, self.sequence.window, flip) for each in self.passes}
+        return read_parts(file, self.passes, self.sequence.window, flip)
 
     def write(self, index: int, out: Path, found: DenoisedParts) -> Path:
         """Write a copy of a frame's file with the image in place of the mean, and its parts."""
@@ -179,8 +185,8 @@ def find_noisy_sequences(
     Loose are a single file, a pattern of files, and what `others` name, by albedo, normal, depth
     or motion. Of a piece `frames` of a shot, a method with a memory also reads up to `warm_up`
     frames before it; without a memory, frames may have gaps. `passes` are denoised beside the image
-    (`rlbench.denoising.passes`). Without `needs_motion`, and where
-    nothing moves, no motion is read.
+    (`rlbench.denoising.passes`). Without `needs_motion`, and where nothing moves, no motion is
+    read.
 
     Raises SourceError for files without a mean image in this layout, for several images of one
     frame, for a layout whose radiance is not that of the file, GapError for frames between others

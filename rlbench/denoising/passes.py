@@ -12,9 +12,10 @@ pixel is in the parts without a colour, or in none.
 from __future__ import annotations
 
 import re
-from collections import Counter
+from collections import Counter, defaultdict
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from itertools import chain
 from pathlib import Path
 
 import numpy as np
@@ -22,9 +23,10 @@ import torch
 from jaxtyping import Bool, Float
 from torch import Tensor
 
-from rlbench.clips.exr import Window
+from rlbench.clips.exr import ExrHeader, Window
 from rlbench.clips.importers.image_files import (
     Channels,
+    find_channels,
     has_channels,
     list_channels,
     read_exr_image,
@@ -53,21 +55,6 @@ class LightPass:
     name: str
     light: Channels
     colour: Channels | None = None  # that the light is divided by
-
-    def read(self, path: Path, window: Window | None, flip: tuple[int, ...]) -> Part:
-        """The part in one file; values that are negative or not finite are 0. Raises SourceError.
-
-        The images are flipped along these axes.
-        """
-        light, colour = (
-            to_tensor(np.flip(read_exr_image(path, each, window=window).pixels, flip))
-            .nan_to_num(0, 0, 0)
-            .clamp_min(0)
-            if each
-            else torch.ones(1, 3, 1, 1)
-            for each in (self.light, self.colour)
-        )
-        return Part(light, colour)
 
 
 @dataclass(frozen=True)
@@ -117,6 +104,38 @@ def find_passes(path: Path, names: Sequence[str], layer: str = "") -> tuple[Ligh
     if twice := [each.name for each in found if counts[each.name.lower()] > 1]:
         raise SourceError(f"the pass '{twice[0]}' is named twice")
     return tuple(found)
+
+
+def read_parts(
+    path: Path, passes: Sequence[LightPass], window: Window | None, flip: tuple[int, ...]
+) -> dict[str, Part]:
+    """The passes of a file by name; values that are negative or not finite are 0.
+
+    The images are flipped along these axes. A part of the file is decoded once, however many passes
+    are in it. Raises SourceError.
+    """
+    places = [
+        [find_channels(path, each) if each else None for each in (one.light, one.colour)]
+        for one in passes
+    ]
+    names = defaultdict[str, list[str]](list)  # of channels, by part of the file
+    for header, found in filter(None, chain.from_iterable(places)):
+        names[header.name] += found
+    images = {
+        part: to_tensor(
+            np.flip(read_exr_image(path, Channels([own], part), 0, window).pixels, flip)
+        )
+        for part, own in names.items()
+    }
+    valid = {part: image.nan_to_num(0, 0, 0).clamp_min(0) for part, image in images.items()}
+
+    def pick(place: tuple[ExrHeader, list[str]] | None) -> Tensor:
+        if place is None:
+            return torch.ones(1, 3, 1, 1)
+        header, found = place
+        return valid[header.name][:, [names[header.name].index(name) for name in found]]
+
+    return {each.name: Part(*map(pick, pair)) for each, pair in zip(passes, places, strict=True)}
 
 
 def _channels(name: str, layer: str) -> Channels:

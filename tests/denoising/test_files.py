@@ -17,7 +17,8 @@ import rlbench
 from rlbench.checks.lint.clip_arrays import ClipArrays
 from rlbench.clips.importers.sequence import SourceError
 from rlbench.denoise import DenoiseError
-from rlbench.denoising.files import UNKNOWN_SPP, GapError, find_noisy_sequences
+from rlbench.denoising import UNKNOWN_SPP
+from rlbench.denoising.files import GapError, find_noisy_sequences
 from rlbench.denoising.shot import STATE_PERIOD, denoise_sequence
 from tests.checks.lint.broken_fixtures import correct_clip
 from tests.clips.importers.dumps import planes, write_blender, write_falcor, write_file, write_oidn

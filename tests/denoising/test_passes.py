@@ -124,6 +124,32 @@ def test_files_of_blender_add_up_within_half_rounding(method, tmp_path, dtype):
     np.testing.assert_allclose(total, image, rtol=4 * HALF_STEP, atol=2e-6)
 
 
+def test_passes_may_be_in_parts_of_their_own(method, tmp_path):
+    images = {"beauty": make_light(1) + make_light(2), "key": make_light(1), "fill": make_light(2)}
+    parts = [
+        OpenEXR.Part(
+            {"compression": OpenEXR.ZIP_COMPRESSION, "type": OpenEXR.scanlineimage},
+            {letter: np.ascontiguousarray(image[0, k]) for k, letter in enumerate("RGB")},
+            name,
+        )
+        for name, image in images.items()
+    ]
+    with OpenEXR.File(parts) as file:
+        file.write(str(tmp_path / "a.exr"))
+    (shot,) = find_noisy_sequences(
+        tmp_path / "a.exr", passes=["key", "fill"], needs_motion=False, has_memory=False
+    )
+    for name, part in shot.read_parts(0).items():
+        torch.testing.assert_close(part.light, images[name], rtol=0, atol=0)
+    denoise_sequence(shot, method, "oidn", tmp_path / "out")
+    with OpenEXR.File(str(tmp_path / "out" / "a.exr"), separate_channels=True) as file:
+        beauty, key, fill = (
+            np.stack([part.channels[letter].pixels for letter in "RGB"]) for part in file.parts
+        )
+    np.testing.assert_allclose(key + fill, beauty, rtol=1e-5, atol=1e-6)
+    assert not np.array_equal(beauty, images["beauty"][0].numpy())
+
+
 @pytest.mark.parametrize(
     ("names", "message"),
     [

@@ -105,7 +105,7 @@ class Job:
 
     @property
     def is_finished(self) -> bool:
-        """Does the folder hold all frames with this content key, and a header of as many?"""
+        """True if the folder holds all frames with this content key, and a header of as many."""
         if not (self.folder / FILE).is_file() or self.missing_frames:
             return False
         return read_header(self.folder).frames >= self.frames
