@@ -47,5 +47,6 @@ REL_L2 = Metric(
     "linear radiance, reference's mean over channels^2 + 0.01",
     _score,
     scored_by_run=False,  # it is close to relmse
+    pixelwise=True,
     source="Choi et al. 2024",
 )
