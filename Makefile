@@ -98,8 +98,10 @@ docs: .venv/dev.stamp
 	$(BIN)/rlbench run --methods 'all/*' --preset mini --spp 0.5,1,2,4 --out $(RESULTS)
 	$(BIN)/rlbench report summary --results $(RESULTS) --out docs/made
 	$(BIN)/rlbench report pareto --results $(RESULTS) --out docs/made --methods all,oidn/tuned
-	$(BIN)/rlbench report pareto --results $(RESULTS) --out docs/made/eight --methods $(EIGHT)
-	mv docs/made/eight/pareto.png docs/made/pareto-eight.png && rm -r docs/made/eight
+	for name in pareto winners; do \
+	  $(BIN)/rlbench report $$name --results $(RESULTS) --out docs/made/eight --methods $(EIGHT) && \
+	  mv docs/made/eight/$$name.png docs/made/$$name-eight.png || exit 1; done
+	rm -r docs/made/eight
 	$(BIN)/rlbench report winners --results $(RESULTS) --out docs/made
 	$(BIN)/rlbench images -m ours,oidn-intel,imcd,ntas,svgf,mean --scenes city --out docs/made
 	mv docs/made/city-1spp-07.png docs/made/images.png && rm -r docs/made/city-1spp-07
