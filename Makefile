@@ -12,7 +12,7 @@ RULES := accumulate,accumulate/contrast,accumulate/variance,accumulate/denoised-
 CONTROLS := ours,ours/A2,ours/latent,ours/latent-stateless,ours/latent-by-rule,ours/latent-initial,oidn,oidn/filled,oidn-intel/filled,oidn/tuned,oidn/half,$(RULES)
 
 # the rows of the README's figure and table
-EIGHT := ours,ours/paper,accumulate/tuned,accumulate/fast,accumulate/contrast,oidn,nppd,svgf
+README := ours,ours/paper,accumulate/tuned,accumulate/fast,accumulate/contrast,oidn,nppd,svgf
 
 # the networks of the paper, developed, and their ablations
 LATENT := ours/latent,ours/latent-A1,ours/latent-A2,ours/latent-B1,ours/latent-B2,ours/latent-C,ours/latent-small,ours/latent-stateless,ours/latent-by-rule,ours/latent-flat,ours/latent-initial
@@ -99,7 +99,7 @@ docs: .venv/dev.stamp
 	$(BIN)/rlbench report summary --results $(RESULTS) --out docs/made
 	$(BIN)/rlbench report pareto --results $(RESULTS) --out docs/made --methods all,oidn/tuned
 	for name in pareto winners; do \
-	  $(BIN)/rlbench report $$name --results $(RESULTS) --out docs/made/eight --methods $(EIGHT) && \
+	  $(BIN)/rlbench report $$name --results $(RESULTS) --out docs/made/eight --methods $(README) && \
 	  mv docs/made/eight/$$name.png docs/made/$$name-eight.png || exit 1; done
 	rm -r docs/made/eight
 	$(BIN)/rlbench report winners --results $(RESULTS) --out docs/made
