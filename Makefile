@@ -186,7 +186,7 @@ recovery: .venv/dev.stamp
 viewer: .venv/dev.stamp
 	$(BIN)/rlbench run -m '$(VIEWED)' --preset mini --spp 1 --scores-only --keep-images --out $(RESULTS)/kept
 	$(BIN)/rlbench view $(RESULTS)/kept --out $(RESULTS)/kept/report.html
-	$(BIN)/python -m tests.reports.viewer.take_picture $(RESULTS)/kept/report.html docs/results/viewer.png '$(SHOWN)'
+	$(BIN)/python -m tests.apps.view.viewer.take_picture $(RESULTS)/kept/report.html docs/results/viewer.png '$(SHOWN)'
 
 # stress tests of every shipped row with weights of its own; resumes if it was killed; succeeds also where tests fail, since the page lists them
 stress: .venv/dev.stamp

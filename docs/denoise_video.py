@@ -14,7 +14,7 @@ import torch
 from numpy.typing import NDArray
 from PIL import Image, ImageDraw
 
-from rlbench.clips.importers.image_files import read_exr
+from rlbench.clips.image_files import read_exr
 from rlbench.ops.color import encode_srgb
 
 FOLDER = Path(__file__).parent / "results"

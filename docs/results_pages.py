@@ -16,7 +16,7 @@ from mkdocs.config.defaults import MkDocsConfig
 from mkdocs.exceptions import PluginError
 from mkdocs.structure.files import File, Files
 
-from reports.site import PresetScores, build_pages, preset_scores
+from rlbench.apps.view.site import PresetScores, build_pages, preset_scores
 from rlbench.errors import RlbenchError
 
 RESULTS = "RLBENCH_SITE_RESULTS"

@@ -8,7 +8,7 @@ from collections.abc import Callable, Collection
 from functools import partial, wraps
 from typing import ParamSpec, TypeVar
 
-__all__ = ["OptionError", "PluginError", "RlbenchError", "names_arguments"]
+__all__ = ["OptionError", "PluginError", "RlbenchError", "SourceError", "names_arguments"]
 
 P = ParamSpec("P")
 T = TypeVar("T")
@@ -33,6 +33,10 @@ class PluginError(RlbenchError, LookupError):
 
 class OptionError(RlbenchError, ValueError):
     """A command-line option or an argument with an unusable value."""
+
+
+class SourceError(RlbenchError, ValueError):
+    """Files of other programs that cannot be read, or that are not safe to read."""
 
 
 def names_arguments(function: Callable[P, T]) -> Callable[P, T]:

@@ -37,7 +37,7 @@ from torch import Tensor
 
 from rlbench import registry
 from rlbench.benchmark.evaluation import OF_RUNS, load_metric
-from rlbench.benchmark.loose_images import ANY_IMAGE, ANY_MODE, LooseImageError, read_linear
+from rlbench.clips.linear_images import ANY_IMAGE, ANY_MODE, LooseImageError, read_linear
 from rlbench.registry.near_names import unknown_name
 
 if TYPE_CHECKING:

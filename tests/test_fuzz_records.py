@@ -28,13 +28,13 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from torch import nn
 
+from rlbench.apps.dumps.importers.layout import read_layout, ready_layouts
 from rlbench.benchmark import cost, looks, results
 from rlbench.benchmark.cell_key import CellId, CellKey
-from rlbench.benchmark.loose_images import read_linear
 from rlbench.benchmark.regression.baseline import SCHEMA, load_baseline
 from rlbench.benchmark.results import Row
 from rlbench.clips.header import FILE, read_header
-from rlbench.clips.importers.layout import read_layout, ready_layouts
+from rlbench.clips.linear_images import read_linear
 from rlbench.clips.pfm import write_pfm
 from rlbench.errors import RlbenchError
 from rlbench.scenes.collection.pins import Pin, PinnedFile, format_pin, read_pin

@@ -13,8 +13,8 @@ import pytest
 from docs.tables import fill_tables
 from rlbench import registry
 from rlbench.checks.conformance import MethodUnderTest, Verdict, run_checks
-from rlbench.cli.app import COMMANDS
 from rlbench.cli.command import load_command
+from rlbench.cli.commands import list_commands
 from rlbench.clips.procedural.clip import procedural_clip
 from rlbench.frames import Size
 from rlbench.run import run_clip
@@ -31,7 +31,7 @@ TEXTS = {page: page.read_text() for page in (README, *DOCS)}
 @cache
 def click_commands() -> dict[str, Any]:
     """The commands of `rlbench`, by name."""
-    return {name: load_command(name) for name in COMMANDS}
+    return {name: load_command(entry) for name, entry in list_commands().items()}
 
 
 def check_command(line: str) -> None:

@@ -17,6 +17,13 @@ from rlbench.frames import Frame, GBuffer, Reference, StoredPool
 
 OUTSIDE = -2.0  # image sizes, along both axes, that motion points away where a shot begins
 
+STAND_INS = {  # values of a buffer that hold no information, but are legal
+    "albedo": (0.5, 0.5, 0.5),
+    "normal": (0.0, -1.0, 0.0),
+    "depth": (5.0,),  # scene units
+    "motion": (0.0, 0.0),
+}
+
 Edit = Callable[[Tensor], Tensor]
 
 

@@ -11,25 +11,6 @@ import typer
 from rlbench.cli.command import CommandGroup
 from rlbench.cli.verbosity import set_verbosity
 
-CommandGroup.groups = {  # each command is the function of its name in the module of its name
-    "Measure": ("run", "decide", "compare", "report"),
-    "Look": ("view", "images", "video"),
-    "Your own frames and scenes": (
-        "import",
-        "export",
-        "score",
-        "denoise",
-        "lint",
-        "render",
-        "scenes",
-    ),
-    "Your own method": ("new", "check", "stress"),
-    "Training": ("train",),
-    "This machine": ("list", "doctor"),
-    "Further commands": ("speed", "evaluate", "crossval", "regress", "cache"),
-}
-COMMANDS = [name for names in CommandGroup.groups.values() for name in names]
-
 app = typer.Typer(
     cls=CommandGroup,
     no_args_is_help=True,

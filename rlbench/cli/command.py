@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import errno
-import importlib
 import os
 import re
 import select
@@ -16,7 +15,10 @@ from typing import Any
 import typer
 from typer.core import TyperCommand, TyperGroup
 
-from rlbench.cli.options import EXECUTION, GROUPS, OTHER, complete_methods
+from rlbench import registry
+from rlbench.cli.commands import GROUPS, CommandEntry, list_commands
+from rlbench.cli.options import EXECUTION, OTHER, complete_methods
+from rlbench.cli.options import GROUPS as OPTION_GROUPS
 from rlbench.errors import RlbenchError
 from rlbench.registry.near_names import suggest
 from rlbench.registry.plugin_code import exits_as_errors
@@ -28,33 +30,13 @@ HELP_ALL = "--help-all"
 PROGRAM_OPTIONS = {"-v", "--verbose", "-q", "--quiet"}  # accepted behind the command too
 FULL_DISK = (errno.ENOSPC, errno.EDQUOT, errno.EROFS)  # errors that any file can meet
 INTERRUPTED, PIPE_CLOSED = 130, 141  # exit codes of shells: 128 + SIGINT, 128 + SIGPIPE
-KEPT = {  # command: what an interrupted one leaves; None in place of a folder: it has a default
-    "render": "finished frames are kept",
-    "import": "finished frames are kept in {out}",
-    "export": "finished frames are kept in {out}",
-    "score": "finished clips are kept in {out}",
-    "denoise": "finished frames are kept in {out}",
-    "stress": "finished sections are kept in {out}",
-    "train": "clips are kept in the cache and checkpoints in {out}",
-    "crossval": "finished cells and the checkpoints of trainings are kept in {out}",
-    "run": "finished cells are kept in {out}",
-    "evaluate": "finished scores are kept in {out}",
-    "scenes": "complete files are kept",
-    "video": "complete videos are kept",
-}
 LISTED = ("methods", "metrics", "presets", "reports")  # by rlbench list, so no commands
-BEGINS_AGAIN = {"video"}  # commands of KEPT that use nothing of what is there
 
 
-def load_command(name: str) -> Command:
-    """The command of a name: the function of this name in the module of this name.
-
-    An underscore follows words of Python, as in `rlbench.cli.import_`.
-    """
-    word = f"{name}_" if name in ("import", "list") else name
-    function = getattr(importlib.import_module(f"rlbench.cli.{word}"), word)
+def load_command(entry: CommandEntry) -> Command:
+    """The command of an entry."""
     program = typer.Typer(add_completion=False, rich_markup_mode=None)
-    program.command(name, cls=Command)(function)
+    program.command(cls=Command)(registry.resolve(entry.target))
     command: Any = typer.main.get_command(program)
     return command  # type: ignore[no-any-return]
 
@@ -174,35 +156,38 @@ class Command(TyperCommand):
 class CommandGroup(TyperGroup):
     """Commands in groups, each imported when it is used; expected errors are one message, exit 2.
 
-    `groups` lists the names of commands by the title of their group; the last one is shown with
-    --help-all alone. Neither a plugin nor a library ends a command without a message: commands
-    signal their exit code by `typer.Exit`, so every other exit is an error.
+    Those of the last group are shown with --help-all alone. Neither a plugin nor a library ends a
+    command without a message: commands signal their exit code by `typer.Exit`, so every other exit
+    is an error.
     """
-
-    groups: Mapping[str, tuple[str, ...]] = {}
 
     def list_commands(self, ctx: Any) -> list[str]:
         """The names of all commands, in the order of the help."""
-        return [name for names in self.groups.values() for name in names]
+        return list(list_commands())
 
     def get_command(self, ctx: Any, cmd_name: str) -> Any:
         """A command by name, or None."""
-        if cmd_name not in self.commands and cmd_name in self.list_commands(ctx):
-            self.commands[cmd_name] = load_command(cmd_name)
+        if cmd_name not in self.commands and cmd_name in (entries := list_commands()):
+            self.commands[cmd_name] = load_command(entries[cmd_name])
         return self.commands.get(cmd_name)
 
     def format_commands(self, ctx: Any, formatter: Any) -> None:
         """Write the commands in their groups, with one line each."""
-        *first, last = self.groups
-        width = max(map(len, self.list_commands(ctx)))
-        for title in self.groups if ctx.meta.get(HELP_ALL) else first:
-            with formatter.section(title):
-                helps = {name: self.get_command(ctx, name) for name in self.groups[title]}
-                rows = [(f"{n:{width}}", each.get_short_help_str(100)) for n, each in helps.items()]
-                formatter.write_dl(rows)
-        if not ctx.meta.get(HELP_ALL):
+        entries = list_commands()
+        width = max(map(len, entries))
+        shows_all = ctx.meta.get(HELP_ALL, False)
+        *first, last = GROUPS
+        for title in GROUPS if shows_all else first:
+            names = [name for name, entry in entries.items() if entry.group == title]
+            helps = {name: self.get_command(ctx, name) for name in names}
+            rows = [(f"{n:{width}}", each.get_short_help_str(100)) for n, each in helps.items()]
+            if rows:
+                with formatter.section(title):
+                    formatter.write_dl(rows)
+        if not shows_all:
             with formatter.section(f"{last}: rlbench {HELP_ALL}"):
-                formatter.write_text(", ".join(self.groups[last]))
+                names = [name for name, entry in entries.items() if entry.group == last]
+                formatter.write_text(", ".join(names))
 
     def resolve_command(self, ctx: Any, args: list[str]) -> Any:
         """The command that the words name. An unknown one is answered with the nearest."""
@@ -246,7 +231,7 @@ def _rank(title: str) -> int:
     """
     if title == "Arguments":
         return -1
-    return GROUPS.index(title if title in GROUPS else EXECUTION)
+    return OPTION_GROUPS.index(title if title in OPTION_GROUPS else EXECUTION)
 
 
 def _show_all(ctx: Any, args: list[str]) -> None:
@@ -263,12 +248,13 @@ def what_is_kept(command: str, parameters: Mapping[str, Any]) -> str:
     >>> what_is_kept("run", {"out": "results"}).partition(" The same")[0]
     'interrupted: finished cells are kept in results.'
     """
-    if command not in KEPT:
+    entry = list_commands().get(command)
+    if entry is None or not entry.kept:
         return "interrupted: nothing was kept"
     out = parameters.get("out") or Path(str(parameters.get("results"))) / "evaluated"
     again = shlex.join(["rlbench", *sys.argv[1:]])
-    goes_on = "begins again" if command in BEGINS_AGAIN else "continues"
-    return f"interrupted: {KEPT[command].format(out=out)}. The same command {goes_on}: {again}"
+    goes_on = "continues" if entry.resumes else "begins again"
+    return f"interrupted: {entry.kept.format(out=out)}. The same command {goes_on}: {again}"
 
 
 def _is_broken_pipe(error: BaseException) -> bool:

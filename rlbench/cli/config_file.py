@@ -12,10 +12,11 @@ from typing import Any
 
 from rlbench.cli.arguments import PixelSize, WeightsChoice
 from rlbench.errors import OptionError
+from rlbench.parallel.engines import LOCAL_ENGINE
 from rlbench.registry.near_names import unknown_name
 from rlbench.system import documents
 
-TRUSTED = ("plugin", "ray-address")  # options that run code, so that the caller has to allow them
+TRUSTED = ("plugin", "engine")  # options that run code, so that the caller has to allow them
 # of the file that a run writes: they belong to one call
 LEFT_OUT = ("config", "allow_plugins", "out", "retime")
 
@@ -48,7 +49,11 @@ def check_trusted(context: Any, file: Path | None, allow_plugins: bool) -> None:
     if file is None:
         return
     values = documents.read_toml(file)
-    own = [name for name in TRUSTED if name in values and _is_of_file(context, name)]
+    own = [
+        name
+        for name in TRUSTED
+        if name in values and values[name] != LOCAL_ENGINE and _is_of_file(context, name)
+    ]
     if own and not allow_plugins:
         found = "; ".join(f"{name} = {values[name]!r}" for name in own)
         raise OptionError(

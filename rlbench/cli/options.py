@@ -303,14 +303,12 @@ AllowConfigChange = Annotated[
 # execution
 Device = Annotated[str, option(EXECUTION, "auto, cpu, cuda, or a torch device", value="DEVICE")]
 Engine = Annotated[
-    Literal["local", "ray"], option(EXECUTION, "ray works on many frames or cells in parallel")
-]
-RayAddress = Annotated[
-    str | None,
+    str,
     option(
         EXECUTION,
-        "of a running Ray cluster, auto or host:port; default: start Ray here",
-        value="ADDRESS",
+        "local, or ray, which works on many frames or cells in parallel: ray starts Ray here, "
+        "ray=auto or ray=HOST:PORT joins a cluster",
+        value="ENGINE",
     ),
 ]
 

@@ -96,7 +96,6 @@ def render(
         ),
     ] = None,
     engine: options.Engine = "local",
-    ray_address: options.RayAddress = None,
     exposure: Annotated[
         float | None,
         number(SCENE_FILE, "maps radiance to display white at 1; default: estimated", "FACTOR"),
@@ -190,7 +189,7 @@ def render(
       rlbench render --preset development --size 640x360 --motion
       rlbench render --radiance-cap 64
       rlbench render --buffers object,normal_psr
-      rlbench render --preset standard --engine ray --ray-address auto
+      rlbench render --preset standard --engine ray=auto
       rlbench render --preset standard --remeasure-sample-time
       rlbench render --preset unseen --digests
       rlbench render kitchen/scene.xml --camera dolly --frames 20 --size 320x192
@@ -200,11 +199,11 @@ def render(
       rlbench render atrium.blend --frames 20 -D max_bounces=6
     """
     _refuse_options_of_the_other(context, file)
-    from rlbench.parallel.ray_executor import open_executor
+    from rlbench.parallel.engines import open_executor
     from rlbench.system.paths import cache_folder, check_writable
 
     check_writable(*((out, "--out") if out else (cache_folder(), "RLBENCH_CACHE")))
-    with open_executor(engine, ray_address) as executor:
+    with open_executor(engine) as executor:
         if file is None:
             from rlbench.render.jobs.render_clips import render_preset_clips
 

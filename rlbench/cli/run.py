@@ -88,7 +88,6 @@ def run(
     limit_frames: options.LimitFrames = None,
     device: options.Device = "auto",
     engine: options.Engine = "local",
-    ray_address: options.RayAddress = None,
     config: Annotated[
         Path | None,
         option(
@@ -107,7 +106,7 @@ def run(
         flag(
             EXECUTION,
             "--allow-plugins",
-            "let the file of --config name plugin files and a Ray cluster, which run code",
+            "let the file of --config name plugin files and an engine, which run code",
         ),
     ] = False,
 ) -> None:
@@ -151,14 +150,14 @@ def run(
     from rlbench.benchmark.run_outcome import read_outcome
     from rlbench.benchmark.runner import check_times_alone, measure
     from rlbench.cli import console, json_output
-    from rlbench.parallel.ray_executor import open_executor
+    from rlbench.parallel.engines import open_executor
 
     if retime:  # what the cells' own run wrote into its file says nothing of this one
         scores_only &= config_file.is_typed(context, "scores_only")
         keep_images &= config_file.is_typed(context, "keep_images")
         check_times_alone(scores_only, keep_images)
     warn_without_networks(names, bf16, chosen)
-    with open_executor(engine, ray_address) as executor:
+    with open_executor(engine) as executor:
         plan = plan_run(
             names,
             out,

@@ -40,7 +40,8 @@ from rlbench.registry.plugin_files import (
 )
 
 GROUPS = (
-    "methods", "metrics", "reports", "image_reports", "pools", "scenes", "stress",
+    "methods", "metrics", "reports", "image_reports", "pools", "scenes", "stress", "commands",
+    "executors",
 )  # fmt: skip
 _logger = logging.getLogger(__name__)
 

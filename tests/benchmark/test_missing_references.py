@@ -8,14 +8,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from rlbench.apps.dumps.export import export_clip
+from rlbench.apps.dumps.importers.layout import ready_layouts
+from rlbench.apps.dumps.lint.checks import lint_clip
+from rlbench.apps.dumps.lint.clip_arrays import read_clip_arrays
 from rlbench.benchmark import results as table
 from rlbench.benchmark.scoring import NO_REFERENCE
-from rlbench.checks.lint.checks import lint_clip
-from rlbench.checks.lint.clip_arrays import read_clip_arrays
 from rlbench.checks.result import Verdict
-from rlbench.clips.export import export_clip
 from rlbench.clips.header import ClipError, read_header
-from rlbench.clips.importers.layout import ready_layouts
 from rlbench.clips.stored import open_clip, verify
 from rlbench.training.dataset import find_own_clips
 from tests.cli.runner import rlbench

@@ -12,8 +12,9 @@ from typer.testing import CliRunner
 
 from rlbench import registry
 from rlbench.benchmark import results as table
-from rlbench.cli.app import COMMANDS, app
-from rlbench.cli.command import KEPT, NEARLY_ALL, SHORT_HELP, what_is_kept
+from rlbench.cli.app import app
+from rlbench.cli.command import NEARLY_ALL, SHORT_HELP, what_is_kept
+from rlbench.cli.commands import list_commands
 from rlbench.cli.run import FIRST_RUN, first_run
 from rlbench.system.folder_lock import LOCK_FILE, locked_folder
 from tests.cli.runner import ENVIRONMENT, rlbench
@@ -45,7 +46,7 @@ def test_methods_may_stand_alone_and_the_help_shows_one_form(command):
     assert "-m, --methods" in text
 
 
-@pytest.mark.parametrize("command", COMMANDS)
+@pytest.mark.parametrize("command", list_commands())
 def test_the_help_shows_the_first_options_and_help_all_every_one(command):
     options = [
         max(each.opts, key=len)
@@ -123,8 +124,8 @@ def test_ctrl_c_says_what_is_kept_and_the_same_command_continues(clip_folder, tm
 
 
 def test_the_commands_that_continue_say_what_they_keep():
-    assert KEPT.keys() >= {"run", "render", "train", "stress", "crossval", "evaluate"}
-    assert KEPT.keys() <= set(COMMANDS)
+    keeping = {name for name, entry in list_commands().items() if entry.kept}
+    assert keeping >= {"run", "render", "train", "stress", "crossval", "evaluate"}
     assert "kept in a/evaluated" in what_is_kept("evaluate", {"results": "a", "out": None})
     assert what_is_kept("decide", {}) == "interrupted: nothing was kept"
 

@@ -11,8 +11,8 @@ from typing import NamedTuple
 
 import pytest
 
+from tests.apps.dumps.importers.sources import write_oidn
 from tests.cli.runner import ENVIRONMENT, rlbench
-from tests.clips.importers.sources import write_oidn
 from tests.conftest import write_noise, write_plugin
 
 Words = tuple[object, ...]

@@ -118,7 +118,7 @@ def test_only_the_first_frames_are_run_on_request(run_mean, tmp_path):
         (("--plugin", "nowhere.py"), "error: no plugin file at"),
         (("--takes", "main"), "error: --takes applies to preset scenes only. With --clips"),
         (("--takes", "some"), "'some' is not one of 'main', 'all'"),
-        (("--engine", "steam"), "'steam' is not one of 'local', 'ray'"),
+        (("--engine", "steam"), "error: --engine steam: no such engine; available: local, ray"),
         (("--weights", "none.safetensors"), "file 'none.safetensors' does not exist"),
         (("--limit-frames", 0), "Invalid value for '--limit-frames'"),
         (("--retime", "all", "--keep-images"), "error: --retime measures times alone"),
@@ -266,7 +266,7 @@ def test_a_config_of_somebody_else_runs_no_code_and_writes_nowhere_else(run_mean
     config, plugin = tmp_path / "run.toml", tmp_path / "theirs.py"
     plugin.write_text("from pathlib import Path\nPath(__file__).with_name('ran').touch()\n")
     words = ("run", "--config", config)
-    for text in (f'plugin = ["{plugin}"]\n', 'engine = "ray"\nray-address = "10.0.0.1:1"\n'):
+    for text in (f'plugin = ["{plugin}"]\n', 'engine = "ray=10.0.0.1:1"\n'):
         config.write_text(text)
         assert "add --allow-plugins" in rlbench(*words, "--out", tmp_path / "r", code=2)
     config.write_text(f'plugin = ["{plugin}"]\nout = "{tmp_path / "r"}"\n')

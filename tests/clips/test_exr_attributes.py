@@ -9,9 +9,9 @@ import numpy as np
 import OpenEXR
 import pytest
 
+from rlbench.apps.dumps.denoising.exr_copy import NewPixels, replace_channels
 from rlbench.clips.exr import read_exr_parts, read_planes
 from rlbench.clips.exr_attributes import read_strings
-from rlbench.clips.exr_copy import NewPixels, replace_channels
 
 VALUES = {  # by type, of which some have no value that the library takes
     "Latin-1": ("string", "J\u00f6rg".encode("latin-1")),

@@ -10,11 +10,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from rlbench.checks.lint.checks import lint_clip
-from rlbench.checks.lint.clip_arrays import ClipArrays, read_clip_arrays
+from rlbench.apps.dumps.lint.checks import lint_clip
+from rlbench.apps.dumps.lint.clip_arrays import ClipArrays, read_clip_arrays
 from rlbench.checks.result import Verdict
 from rlbench.clips.stored import verify
-from tests.checks.lint.broken_fixtures import correct_clip
+from tests.apps.dumps.lint.broken_fixtures import correct_clip
 
 PAGE = Path(__file__).parents[2] / "docs" / "reference" / "clip-format.md"
 MAIN = """

@@ -25,16 +25,15 @@ import tomli_w
 from hypothesis import HealthCheck, Phase, given, settings
 from hypothesis import strategies as st
 
+from rlbench.apps.dumps.importers import formats, writer
+from rlbench.apps.dumps.importers.zarr_v2 import open_archive, read_array
 from rlbench.clips import ClipError, read_header, verify, write_header
 from rlbench.clips.exr import read_exr, write_exr
 from rlbench.clips.header import FILE, LIMITS, is_plain_name
-from rlbench.clips.importers import formats, writer
-from rlbench.clips.importers.image_files import Channels, read_exr_image
-from rlbench.clips.importers.sequence import SourceError
-from rlbench.clips.importers.zarr_v2 import open_archive, read_array
-from rlbench.errors import RlbenchError
+from rlbench.clips.image_files import Channels, read_exr_image
+from rlbench.errors import RlbenchError, SourceError
+from tests.apps.dumps.importers.sources import noisebase_arrays, write_oidn, zarr_zip
 from tests.clips.clip_folders import HEADER, write_clip
-from tests.clips.importers.sources import noisebase_arrays, write_oidn, zarr_zip
 
 CASES = [60, pytest.param(2000, marks=pytest.mark.slow)]
 

@@ -8,13 +8,13 @@ import numpy as np
 import OpenEXR
 import pytest
 
-from rlbench.benchmark.loose_images import LooseImageError, read_linear
-from rlbench.checks.lint.clip_arrays import import_arrays
+from rlbench.apps.dumps.importers.layout import decode_layout
+from rlbench.apps.dumps.lint.clip_arrays import import_arrays
 from rlbench.clips.exr import read_exr
 from rlbench.clips.header import ClipError
-from rlbench.clips.importers.layout import decode_layout
-from rlbench.clips.importers.sequence import SourceError
+from rlbench.clips.linear_images import LooseImageError, read_linear
 from rlbench.clips.primaries import REC709, Chromaticities, convert_to_rec709, matrix_to_rec709
+from rlbench.errors import SourceError
 
 ACESCG = (0.713, 0.293, 0.165, 0.83, 0.128, 0.044, 0.32168, 0.33767)
 ACES = (0.7347, 0.2653, 0.0, 1.0, 0.0001, -0.077, 0.32168, 0.33767)

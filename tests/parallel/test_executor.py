@@ -12,12 +12,13 @@ from functools import partial
 import pytest
 import torch
 
+from rlbench.apps.cluster.ray_executor import RayExecutor, WorkerEnvironment
 from rlbench.benchmark import results
 from rlbench.benchmark.clip_sources import StoredSource
 from rlbench.benchmark.run_plan import RunPlan
 from rlbench.benchmark.runner import RunSummary, measure
+from rlbench.parallel.engines import open_executor
 from rlbench.parallel.executor import LOCAL, ExecutorError, Resources
-from rlbench.parallel.ray_executor import RayExecutor, WorkerEnvironment, open_executor
 from rlbench.registry import METHODS_VARIABLE, list_plugins, use_plugin
 from rlbench.render.jobs.job import Job
 from rlbench.render.jobs.render_clips import render_missing
@@ -235,14 +236,14 @@ def test_the_error_without_ray_says_what_to_install(monkeypatch):
 
 
 @pytest.mark.parametrize(
-    ("name", "address", "message"),
+    ("engine", "message"),
     [
-        ("dask", None, "--engine dask: no such executor; use one of: local, ray"),
-        ("local", "auto", "--ray-address auto applies to --engine ray only"),
+        ("dask", "--engine dask: no such engine; available: local, ray"),
+        ("local=auto", "--engine local=auto: local has no address"),
     ],
 )
-def test_options_that_select_no_executor_are_errors(name, address, message):
-    with pytest.raises(ExecutorError, match=message), open_executor(name, address):
+def test_an_engine_that_does_not_exist_is_an_error(engine, message):
+    with pytest.raises(ExecutorError, match=message), open_executor(engine):
         pass
 
 
@@ -250,7 +251,7 @@ def test_the_address_of_a_ray_client_is_refused():
     pytest.importorskip("ray")
     with (
         pytest.raises(ExecutorError, match="on a machine of the cluster"),
-        open_executor("ray", "ray://a:1"),
+        open_executor("ray=ray://a:1"),
     ):
         pass
 

@@ -18,7 +18,7 @@ from reports.layout.latex import MAX_ROWS, PREAMBLE, to_latex
 from reports.layout.page import MAX_LINES, Section, write_page
 from reports.layout.style import FAMILY_COLOURS, line_styles
 from reports.layout.tables import Bold, Table, rank_rows, to_markdown
-from reports.viewer.page import to_json
+from rlbench.apps.view.viewer.page import to_json
 
 BUDGETS = tuple(f"{spp} spp" for spp in range(6))
 CELLS = (Bold("21.50"), "9.25 [-1.00, 0.10] not resolved", "-")

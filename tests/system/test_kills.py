@@ -17,7 +17,7 @@ import pytest
 
 from rlbench.benchmark import results
 from rlbench.weights import digest, read_card
-from tests.clips.importers.sources import write_oidn
+from tests.apps.dumps.importers.sources import write_oidn
 from tests.conftest import write_noise, write_plugin
 from tests.learning_plugin import write_learner
 

@@ -12,7 +12,7 @@ from torch import nn
 
 from methods.ours.policy.learner import Env
 from rlbench.errors import RlbenchError
-from rlbench.parallel.ray_cluster import QUIET_ENVIRONMENT
+from rlbench.parallel.engines import QUIET_ENVIRONMENT
 
 MODULE = "default_policy"  # of RLlib's learner
 NEEDED = ("ray", "gymnasium", "tree")  # tree: dm_tree, which RLlib needs

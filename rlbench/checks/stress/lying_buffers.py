@@ -10,10 +10,10 @@ import torch
 from torch import Tensor
 
 from rlbench.checks.display import psnr_of_frames
+from rlbench.checks.frame_edits import STAND_INS as CONSTANTS
 from rlbench.checks.frame_edits import join_clips, with_buffers
 from rlbench.checks.result import CheckResult, Limits, judge, not_applicable
 from rlbench.checks.stress.section import MethodSection, StressedMethod
-from rlbench.clips.importers.stand_ins import STAND_INS as CONSTANTS
 from rlbench.clips.procedural.clip import procedural_clip
 from rlbench.frames import Frame, Size
 

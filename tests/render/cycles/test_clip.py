@@ -11,8 +11,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from rlbench.checks.lint.checks import lint_clip
-from rlbench.checks.lint.clip_arrays import read_clip_arrays
+from rlbench.apps.dumps.lint.checks import lint_clip
+from rlbench.apps.dumps.lint.clip_arrays import read_clip_arrays
 from rlbench.checks.result import Verdict
 from rlbench.clips.header import read_header
 from rlbench.clips.stored import open_clip, verify

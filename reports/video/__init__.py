@@ -1,6 +1,0 @@
-"""Videos of kept images: panels side by side, or two behind a moving divider; MP4 and WebP."""
-
-from reports.video.style import VideoStyle, check_formats
-from reports.video.write import write
-
-__all__ = ["VideoStyle", "check_formats", "write"]

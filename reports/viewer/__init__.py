@@ -1,6 +1,0 @@
-"""One page to look at the results, or at images: flip, layers, time, decide, table; no network."""
-
-from reports.viewer.opening import choose_opening
-from reports.viewer.page import write, write_gallery
-
-__all__ = ["choose_opening", "write", "write_gallery"]

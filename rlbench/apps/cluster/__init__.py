@@ -1,0 +1,1 @@
+"""Many machines as the engine of a command: --engine ray."""

@@ -1,0 +1,113 @@
+"""The commands render, import and lint: what they hand over, and what they refuse."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from rlbench.clips.stored import open_clip
+from rlbench.render.jobs import render_clips
+from rlbench.training import dataset
+from tests.cli.runner import rlbench
+from tests.conftest import write_noise
+
+
+@pytest.fixture
+def ensured(monkeypatch):
+    """The calls that would render clips of presets."""
+    calls = []
+
+    def ensure(preset, scenes, seeds, executor, limit_frames):
+        calls.append((preset, scenes, seeds))
+        return []
+
+    monkeypatch.setattr("rlbench.render.jobs.render_clips.ensure", ensure)
+    return calls
+
+
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [
+        (("--preset", "huge"), "error: no preset 'huge'; available: tiny, mini"),
+        (("--scenes", "cellar"), "error: no scene 'cellar'; available: bathroom, bathroom2, city"),
+        (
+            ("--scenes", "city-crane"),
+            "error: scene 'city' has no take 'crane'; available takes: static, cut",
+        ),
+        (("--seeds", "48:0"), "Invalid value for '--seeds': '48:0' is no list of seeds"),
+        (("--takes", "some"), "'some' is not one of 'main', 'all'"),
+        (("--radiance-cap", "0"), "'0' is not a number above 0"),
+        (("--buffers", "taste"), "error: "),
+        (("--camera", "orbit"), "--camera is for a scene FILE"),
+        (("--engine", "local=auto"), "error: --engine local=auto: local has no address"),
+    ],
+)
+def test_wrong_use_of_render_is_one_message(words, message):
+    output = rlbench("render", *words, code=2)
+    assert message in output
+    assert "Traceback" not in output
+
+
+def test_render_and_training_request_the_clips_of_the_seeds(ensured):
+    rlbench("render", "--preset", "train", "--seeds", "0:48")
+    dataset.split_generated("train", (30, 31))
+    dataset.split_generated("mini", (30, 31))  # generated scenes, as large as those of mini
+    assert [(preset.name, scenes, seeds) for preset, scenes, seeds in ensured] == [
+        ("train", None, tuple(range(48))),
+        ("train", None, (30, 31)),
+        ("mini", None, (30, 31)),
+    ]
+
+
+def test_options_of_render_change_the_preset(ensured):
+    rlbench("render", "--radiance-cap", 64, "--buffers", "object,normal_psr", "--takes", "all")
+    ((preset, _, _),) = ensured
+    assert preset.radiance_cap == 64
+    assert {"object", "normal_psr"} <= set(preset.extra_buffers)
+    assert preset.takes == "all"
+
+
+@pytest.mark.parametrize(("requested", "takes"), [(None, "all"), ("main", "main")])
+def test_the_takes_of_a_preset_can_be_chosen(ensured, requested, takes):
+    render_clips.render_preset_clips(None, "standard", takes=requested)
+    assert [(preset.name, preset.takes) for preset, _, _ in ensured] == [("standard", takes)]
+
+
+def test_render_can_measure_the_time_of_a_sample_again(clip_folder, monkeypatch):
+    monkeypatch.setattr(
+        "rlbench.render.jobs.render_clips.ensure", lambda *_, **__: [Path(clip_folder)]
+    )
+    output = rlbench("render", "--remeasure-sample-time", code=2)
+    assert "was rendered on 'another machine'" in output  # by the function that measures
+
+
+def test_render_can_print_the_hashes_by_which_others_recognise_the_clips(clip_folder, monkeypatch):
+    monkeypatch.setattr(
+        "rlbench.render.jobs.render_clips.ensure", lambda *_, **__: [Path(clip_folder)]
+    )
+    clip = open_clip(clip_folder)
+    assert rlbench("render", "--digests").strip() == f"{clip.name} {clip.digest[:12]}"
+
+
+def test_import_of_an_unknown_format_or_folder_is_one_message(tmp_path):
+    words = ("--format", "foo", "--out", tmp_path / "clips")
+    output = rlbench("import", tmp_path, *words, code=2)
+    assert (
+        "no layout 'foo', and no such file; rlbench lint --guess writes one; there are: blender,"
+        in output
+    )
+    output = rlbench("import", tmp_path / "nowhere", *words, code=2)
+    assert "Invalid value for 'SOURCE'" in output
+
+
+def test_lint_reports_a_faulty_clip_with_exit_code_1(tmp_path):
+    write_noise(tmp_path / "clips" / "noise")  # its normals and motion belong to no scene
+    output = rlbench("lint", tmp_path / "clips", "--figure", tmp_path / "lint.png", code=1)
+    assert "✗" in output
+    assert (tmp_path / "lint.png").stat().st_size > 0
+
+
+def test_lint_of_a_folder_without_clips_is_wrong_use(tmp_path):
+    assert "error: no clip in" in rlbench("lint", tmp_path, code=2)
+    assert "Invalid value for 'CLIPS" in rlbench("lint", tmp_path / "nowhere", code=2)

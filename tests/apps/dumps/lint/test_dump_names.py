@@ -1,0 +1,248 @@
+"""What names say: numbers of files, names of channels; and what no name claims."""
+
+from __future__ import annotations
+
+from pathlib import PurePath
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from rlbench.apps.dumps.importers.file_pattern import match_pattern
+from rlbench.apps.dumps.importers.layout import decode_layout
+from rlbench.apps.dumps.lint.dump_names import (
+    WORDS,
+    classify,
+    find_named_images,
+    list_unclaimed,
+)
+from rlbench.apps.dumps.lint.file_numbers import find_patterns
+from rlbench.errors import SourceError
+from tests.apps.dumps.importers.dumps import write_file
+
+FRAMES = range(3)
+REFERENCES = [f"ref_{f:04d}.exr" for f in FRAMES]
+NAMES = {  # kinds of names: the paths of the images, and their patterns
+    "samples after spp": (
+        [f"frame_{f:04d}.spp{s}.exr" for f in FRAMES for s in (1, 2)],
+        ["frame_{frame}.spp{spp}.exr"],
+    ),
+    "samples without a word": (
+        [f"x_{f:04d}.{s}.exr" for f in FRAMES for s in (5, 6, 7, 8)],
+        ["x_{frame}.{sample}.exr"],
+    ),
+    "the frame first, then a sample": (
+        [f"x.{f}.{s:04d}.exr" for f in FRAMES for s in (7, 8)],
+        ["x.{frame}.{sample}.exr"],
+    ),
+    "accumulated": ([f"acc{n}/{f}.exr" for f in FRAMES for n in (1, 2)], ["acc{spp}/{frame}.exr"]),
+    "spp after a number": (
+        [f"x_{f}_{n:03d}spp.exr" for f in FRAMES for n in (1, 2)],
+        ["x_{frame}_{spp}spp.exr"],
+    ),
+    "a version": ([f"a_v003_{f}.exr" for f in FRAMES], ["a_v003_{frame}.exr"]),
+    "two versions": (
+        [f"v{v:03d}/a.{f}.exr" for f in FRAMES for v in (1, 2)],
+        ["v001/a.{frame}.exr", "v002/a.{frame}.exr"],
+    ),
+    "shots": (
+        [f"sh{s:03d}/a.{f}.exr" for f in FRAMES for s in (10, 20)],
+        ["sh{clip}/a.{frame}.exr"],
+    ),
+    "one shot": ([f"sh010/a.{f}.exr" for f in FRAMES], ["sh010/a.{frame}.exr"]),
+    "a name that only looks like a shot": (
+        [f"shot{f:04d}.exr" for f in FRAMES],
+        ["shot{frame}.exr"],
+    ),
+    "a tile": ([f"a.udim1001.{f}.exr" for f in FRAMES], ["a.udim1001.{frame}.exr"]),
+    "a constant number": ([f"a.1001.{f}.exr" for f in FRAMES], ["a.1001.{frame}.exr"]),
+    "a resolution": ([f"a_1920x1080_{f}.exr" for f in FRAMES], ["a_1920x1080_{frame}.exr"]),
+    "no padding": ([f"a{f}.exr" for f in (9, 10, 11)], ["a{frame}.exr"]),
+    "negative frames": ([f"a.{f}.exr" for f in (-1, 0, 1)], ["a.{frame}.exr"]),
+    "a sign after a word": (["a-1.exr", "a0.exr", "a1.exr"], ["a{frame}.exr"]),
+    "a dash": (["a-1.exr", "a-2.exr"], ["a-{frame}.exr"]),
+    "the frame twice": ([f"{f}/a.{f}.exr" for f in FRAMES], ["{frame}/a.{frame}.exr"]),
+    "the frame twice, padded": ([f"{f}/a.{f:04d}.exr" for f in FRAMES], ["{frame}/a.*.exr"]),
+    "halves": ([f"ref{h}/{f}.exr" for f in FRAMES for h in "AB"], ["ref{half}/{frame}.exr"]),
+    "brackets": ([f"[old] a.{f}.exr" for f in FRAMES], ["*old* a.{frame}.exr"]),
+}
+
+
+@pytest.mark.parametrize("kind", NAMES)
+def test_the_numbers_of_names_are_told_apart(kind):
+    paths, patterns = NAMES[kind]
+    found = find_patterns([*paths, *REFERENCES], lambda path: path.startswith("ref_"))
+    assert sorted(set(found) - {"ref_{frame}.exr"}) == patterns
+
+
+WORD = st.from_regex(r"[a-z]{3,6}", fullmatch=True).filter(
+    lambda word: not word.endswith("spp") and word not in ("seq", "scene", "ver", "shot", "acc")
+)
+
+
+@settings(max_examples=200, deadline=None)
+@given(
+    st.sets(st.integers(-99, 9999), min_size=2, max_size=5),
+    st.sets(st.integers(0, 40), min_size=1, max_size=3),
+    st.integers(1, 6),
+    st.sampled_from(["s", "sample", "seed"]),
+    WORD,
+    st.booleans(),
+)
+def test_frames_and_samples_are_read_back_from_any_names(
+    frames, samples, width, label, word, is_folder
+):
+    def name(frame: int, sample: int) -> str:
+        number = f"{'-' * (frame < 0)}{abs(frame):0{width}d}"
+        numbered = f"{word}.{number}.{label}{sample}.exr", f"{label}{sample}/{word}.{number}.exr"
+        return numbered[is_folder]
+
+    names = {name(f, s): (f, s) for f in frames for s in samples}
+    (pattern,) = find_patterns(names)
+    assert {path: match_pattern(pattern, PurePath(path))[1:3] for path in names} == names
+
+
+@settings(max_examples=200, deadline=None)
+@given(st.lists(st.from_regex(r"[a-zA-Z0-9_./\-\[\]{}*]{1,12}", fullmatch=True), max_size=8))
+def test_every_file_matches_its_pattern(paths):
+    for pattern, files in find_patterns(set(paths)).items():
+        for path in files:
+            assert match_pattern(pattern, PurePath(path)) or PurePath(path).as_posix() != path
+
+
+LAYERS = [(name, word) for name, words in WORDS.items() for word in words if len(word) > 4]
+
+
+@settings(max_examples=200, deadline=None)
+@given(
+    st.sampled_from(LAYERS),
+    st.sampled_from(["", "ViewLayer.", "beauty.", "VRay", "RenderLayer.", "x_"]),
+    st.sampled_from([str.lower, str.upper, str.capitalize]),
+)
+def test_a_word_is_known_in_any_case_and_layer(layer, prefix, case):
+    name, word = layer
+    first = classify(prefix + case(word))[0]
+    assert first == name or list(WORDS).index(first) < list(WORDS).index(name)
+
+
+@settings(max_examples=200, deadline=None)
+@given(st.text())
+def test_any_text_is_classified(text):
+    name, place = classify(text)
+    assert not name or place < len(WORDS[name])
+
+
+LAYER_NAMES = {
+    "N": "normal",
+    "Nn": "normal",
+    "Z": "depth",
+    "z": "depth",
+    "C": "radiance",
+    "Ci": "radiance",
+    "RGBA": "radiance",
+    "diffuse_albedo": "albedo",
+    "VRayDiffuseFilter": "albedo",
+    "VRayZDepth": "depth",
+    "VRayNormals": "normal",
+    "VRayVelocity": "motion",
+    "FinalImage": "radiance",
+    "FinalImageMovieRenderQueue_WorldDepth": "depth",
+    "ActorHitProxyMask": "",
+    "irradiance": "",
+    "crypto_object00": "",
+    "V.Noisy Image": "radiance",
+}
+
+
+@pytest.mark.parametrize("layer", LAYER_NAMES)
+def test_the_layers_of_renderers_are_known(layer):
+    assert classify(layer)[0] == LAYER_NAMES[layer]
+
+
+def flat(value: float, *names: str) -> dict[str, np.ndarray]:
+    return {name: np.full((8, 12), value, np.float32) for name in names}
+
+
+def test_an_image_whose_values_contradict_its_name_is_passed_over(tmp_path):
+    beauty = flat(0.5, "R", "G", "B")
+    unit = flat(1.0, "Normal.X") | flat(0.0, "Normal.Y", "Normal.Z")
+    wrong = flat(7.0, "WorldNormal.X", "WorldNormal.Y", "WorldNormal.Z")
+    for kind in ("sample0", "reference"):
+        write_file(tmp_path / kind / "a.1.exr", {"": beauty | unit | wrong})
+    found = find_named_images(tmp_path)
+    assert found["normal"].channels == ("Normal.X", "Normal.Y", "Normal.Z")
+
+
+def test_the_newest_version_is_read(tmp_path):
+    for kind in ("sample0", "reference"):
+        for version in (2, 10, 9):
+            write_file(tmp_path / kind / f"v{version}" / "a.1.exr", {"": flat(0.5, *"RGB")})
+    assert find_named_images(tmp_path)["radiance"].pattern == "sample{sample}/v10/a.{frame}.exr"
+
+
+def test_the_image_of_the_most_samples_is_the_reference_where_no_name_is(tmp_path):
+    for spp in (1, 2, 1024):
+        write_file(tmp_path / f"view.{spp}spp.0001.exr", {"": flat(0.5, *"RGB")})
+    found = find_named_images(tmp_path)
+    assert found["reference"] == found["radiance"]
+
+
+def test_channels_that_nothing_reads_are_listed_with_their_range_and_what_they_could_be(tmp_path):
+    ramp = np.linspace(0, 1, 96, dtype=np.float32).reshape(8, 12)
+    layers = {
+        "Mist.Z": ramp,
+        "Id.V": np.round(9 * ramp),
+        "Far.V": 50 * ramp,
+        "UV.U": ramp,
+        "UV.V": ramp,
+        "P.X": ramp - 0.5,
+        "P.Y": ramp,
+        "P.Z": ramp,
+        "A": np.ones_like(ramp),
+        "Tint.R": ramp,
+        "Tint.G": ramp,
+        "Tint.B": ramp,
+        "Flat.V": 0 * ramp + 3,
+    }
+    for kind in ("sample0", "reference"):
+        write_file(tmp_path / kind / "a.1.exr", {"": flat(0.5, *"RGB") | layers})
+    tables = {name: image.to_table() for name, image in find_named_images(tmp_path).items()}
+    lines = list_unclaimed(tmp_path, decode_layout(tables, "guess"))
+    assert {line.split(" (")[0]: line.split("): ")[1] for line in lines} == {
+        "A": "1 to 1, alpha",
+        "Far.V": "0 to 50, could be depth",
+        "Flat.V": "3 to 3, a constant",
+        "Id.V": "0 to 9, could be ids or a mask",
+        "Mist.Z": "0 to 1, could be a mask, an opacity or scaled depth",
+        "P.X, P.Y, P.Z": "-0.5 to 1, could be positions, motion or a velocity",
+        "Tint.B, Tint.G, Tint.R": "0 to 1, could be albedo, or another colour",
+        "UV.U, UV.V": "0 to 1, could be texture coordinates",
+    }
+
+
+def test_a_dump_without_radiance_is_an_error(tmp_path):
+    write_file(tmp_path / "Normal.1.exr", {"": flat(0.5, *"XYZ")})
+    with pytest.raises(SourceError, match="no image looks like radiance"):
+        find_named_images(tmp_path)
+
+
+def test_a_folder_without_exr_files_says_what_it_holds(tmp_path):
+    (tmp_path / "beauty.0001.png").write_text("")
+    with pytest.raises(SourceError, match="it holds: beauty.0001.png"):
+        find_named_images(tmp_path)
+
+
+def test_no_layout_is_guessed_for_a_clip(tmp_path):
+    (tmp_path / "clip.toml").write_text("")
+    with pytest.raises(SourceError, match="is a clip already"):
+        find_named_images(tmp_path)
+
+
+@pytest.mark.parametrize("others", [("envLight", "color2"), ("emissive", "ref_emissive")])
+def test_parts_of_light_are_not_taken_for_the_whole(tmp_path, others):
+    for name in ("color", "ref", *others):
+        write_file(tmp_path / f"{name}_0001.exr", {"": {c: np.ones((4, 4), "f4") for c in "RGB"}})
+    found = find_named_images(tmp_path)
+    assert found["radiance"].pattern == "color_{frame}.exr"
+    assert found["reference"].pattern == "ref_{frame}.exr"

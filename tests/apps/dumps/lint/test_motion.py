@@ -1,0 +1,162 @@
+"""The motion check and its conventions."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import pytest
+import torch
+
+from rlbench.apps.dumps.importers.jitter import halton_offset
+from rlbench.apps.dumps.lint.checks import lint_clip
+from rlbench.apps.dumps.lint.clip_arrays import ClipArrays, read_clip_arrays
+from rlbench.apps.dumps.lint.jitter import find_jitter_fault, frame_disagreements
+from rlbench.apps.dumps.lint.motion import (
+    FORMAT_V1,
+    MotionConvention,
+    all_conventions,
+    check_motion,
+)
+from rlbench.checks.result import Verdict
+from tests.apps.dumps.lint.broken_fixtures import correct_clip, store
+
+
+def cut_at(arrays: ClipArrays, index: int, outside: bool) -> ClipArrays:
+    """The arrays with another clip from frame `index` on, as in the header."""
+    other, before = correct_clip(7), slice(None, index)
+    gbuffer = {
+        k: torch.cat((v[before], other.gbuffer[k][index:])) for k, v in arrays.gbuffer.items()
+    }
+    if outside:
+        away = torch.tensor([-2.0 * arrays.header.width, -2.0 * arrays.header.height])
+        gbuffer["motion"][index] = away.view(2, 1, 1)
+    a, b = (torch.cat((one[before], two[index:])) for one, two in _halves(arrays, other))
+    pool = torch.cat((arrays.pools["path"][before], other.pools["path"][index:]))
+    return ClipArrays(replace(arrays.header, cuts=(index,)), gbuffer, {"path": pool}, a, b)
+
+
+def _halves(one: ClipArrays, two: ClipArrays):
+    return (one.half_a, two.half_a), (one.half_b, two.half_b)
+
+
+@pytest.mark.parametrize("index", [pytest.param(1, marks=pytest.mark.slow), 2])
+def test_a_clip_whose_motion_points_outside_at_a_cut_passes(arrays, tmp_path, index):
+    found = lint_clip(read_clip_arrays(store(cut_at(arrays, index, True), tmp_path / "cut")))
+    assert {f.check: f.found for f in found if f.verdict is not Verdict.PASSED} == {}
+
+
+def test_motion_that_points_into_another_shot_fails(arrays):
+    found = check_motion(cut_at(arrays, 2, False))
+    assert found.verdict is Verdict.FAILED
+    assert "frame 2 is a cut" in found.found
+
+
+def test_an_undeclared_cut_is_a_warning(arrays):
+    secret = cut_at(arrays, 2, True)
+    secret = replace(secret, header=replace(secret.header, cuts=()))
+    assert check_motion(secret).verdict is Verdict.WARNING
+
+
+def test_a_static_clip_needs_no_motion():
+    still = correct_clip(frames=1)
+    frozen = {name: image.repeat(3, 1, 1, 1) for name, image in still.gbuffer.items()}
+    header = replace(
+        still.header, frames=3, static=True, reference_spp=still.header.reference_spp * 3,
+        buffers=("albedo", "normal", "depth"),
+    )  # fmt: skip
+    many = correct_clip(frames=3)
+    arrays = ClipArrays(
+        header, {k: frozen[k] for k in header.buffers}, many.pools, many.half_a, many.half_b
+    )
+    motion = check_motion(arrays)
+    assert (motion.verdict, motion.found) == (
+        Verdict.PASSED,
+        "static, and the G-buffer does not change",
+    )
+
+
+def test_an_object_before_empty_background_is_compared_alone():
+    """A disc that turns before empty background, as seen by an orbiting camera."""
+    frames, h, w, turn, pan = 3, 64, 96, 0.1, 1.1  # pixels a frame: of the disc, and behind it
+    y, x = torch.meshgrid(torch.arange(h) - 31.3, torch.arange(w) - 47.6, indexing="ij")
+    disc = (x.square() + y.square() < 14**2).expand(frames, 1, h, w)
+    at = torch.stack([x - turn * t for t in range(frames)])[:, None]
+    waves = [torch.sin(a * at + b * y) for a, b in ((0.9, 0.4), (-0.5, 1.1), (0.3, -0.8))]
+    texture = torch.cat(waves, 1)
+    motion = torch.zeros(frames, 2, h, w)
+    motion[:, :1] = torch.where(disc, -turn, pan)
+    gbuffer = {
+        "albedo": (texture * 0.4 + 0.5).where(disc, 0.0),
+        "normal": torch.nn.functional.normalize(texture + 2, dim=1).where(disc, 0.0),
+        "depth": torch.where(disc, 4.0, torch.inf),
+        "motion": motion,
+    }
+    light = torch.zeros(frames, 3, h, w)
+    header = replace(correct_clip(frames=1).header, frames=frames, reference_spp=(1,) * frames)
+    found = check_motion(ClipArrays(header, gbuffer, {}, light, light))
+    assert found.verdict is Verdict.PASSED, found.found
+
+
+def test_conventions_are_every_combination_once():
+    assert len(set(map(str, all_conventions()))) == len(all_conventions()) == 2 * 4 * 5 * 2
+
+
+def test_a_convention_converts_stored_motion_to_pixels():
+    stored = torch.tensor([0.5, -0.25]).view(1, 2, 1, 1).expand(1, 2, 10, 20)
+    found = MotionConvention(True, (-1, 1), "NDC (-1..1)").to_pixels(stored)
+    # y first: x is -0.25, of the other sign 0.25, times half of 20; y is 0.5 times half of 10
+    torch.testing.assert_close(found[0, :, 0, 0], torch.tensor([2.5, 2.5]))
+    torch.testing.assert_close(FORMAT_V1.to_pixels(stored), stored)
+
+
+# Camera jitter
+
+
+OFFSETS = torch.tensor([halton_offset(index) for index in range(4)])
+
+
+def contain_jitter(arrays: ClipArrays, sign: int = 1) -> ClipArrays:
+    """Motion plus the change of the jitter, as a jittered camera's matrices give it."""
+    change = torch.cat([torch.zeros(1, 2), OFFSETS[1:] - OFFSETS[:-1]]).view(4, 2, 1, 1)
+    motion = arrays.gbuffer["motion"] + sign * change
+    return replace(arrays, gbuffer={**arrays.gbuffer, "motion": motion})
+
+
+def declare_jitter(arrays: ClipArrays, *limitations: str) -> ClipArrays:
+    offsets = tuple((float(x), float(y)) for x, y in OFFSETS)
+    return replace(arrays, header=replace(arrays.header, jitter=offsets, limitations=limitations))
+
+
+def test_the_disagreement_of_jittered_motion_is_the_change_of_the_jitter(arrays):
+    found, spreads = frame_disagreements(contain_jitter(arrays), [1, 2, 3])
+    # pixels; noise and interpolation between pixels, 0.12 at most on three clips
+    torch.testing.assert_close(found, OFFSETS[:-1] - OFFSETS[1:], atol=0.15, rtol=0)
+    assert float(spreads.max()) < 0.2
+
+
+@pytest.mark.parametrize("is_declared", [False, True])
+def test_motion_that_contains_the_jitter_fails(arrays, is_declared):
+    faulty = contain_jitter(arrays)
+    found = check_motion(declare_jitter(faulty) if is_declared else faulty)
+    assert found.verdict is Verdict.FAILED
+    assert "motion seems to contain the jitter" in found.found
+
+
+@pytest.mark.parametrize("is_declared", [False, True])
+def test_motion_without_the_jitter_passes(arrays, is_declared):
+    found = check_motion(declare_jitter(arrays) if is_declared else arrays)
+    assert found.verdict is Verdict.PASSED, found.found
+
+
+def test_a_jittered_reference_is_told_from_jittered_motion(arrays):
+    # motion that lacks the change of the jitter, as where all images are moved by it
+    moved = declare_jitter(contain_jitter(arrays, -1))
+    assert "[reference] jittered = true" in check_motion(moved).found
+    assert find_jitter_fault(declare_jitter(contain_jitter(arrays, -1), "reference jitter")) == ""
+    # all images are moved, and motion with them
+    assert "motion seems" in find_jitter_fault(declare_jitter(arrays, "reference jitter"))
+
+
+def test_the_same_shift_in_all_frames_is_no_jitter(arrays):
+    shifted = {**arrays.gbuffer, "motion": arrays.gbuffer["motion"] + 0.5}
+    assert find_jitter_fault(replace(arrays, gbuffer=shifted)) == ""
