@@ -208,7 +208,7 @@ training: .venv/run.stamp
 
 # one frame of each scene; resumes if it was killed; make contact SPP=64 is quick
 contact: .venv/run.stamp
-	$(BIN)/python -m rlbench.render.jobs.contact_sheet docs/results/scenes.png --spp $(SPP)
+	$(BIN)/python -m rlbench.apps.render.jobs.contact_sheet docs/results/scenes.png --spp $(SPP)
 
 # the animation of the README: a minute of scoring
 teaser: .venv/dev.stamp

@@ -35,7 +35,8 @@ _pages: dict[str, str | bytes] = {}
 
 def on_config(config: MkDocsConfig) -> MkDocsConfig:
     """Make the pages, and add them to the navigation before the last part, the results."""
-    from rlbench.benchmark.listing import method_facts, scene_facts
+    from rlbench.apps.render.scene_facts import scene_facts
+    from rlbench.benchmark.listing import method_facts
 
     folders = [Path(name) for name in os.environ.get(RESULTS, "").split(":") if name]
     try:
@@ -95,8 +96,8 @@ def _pictures() -> dict[str, tuple[str, bytes]]:
     import numpy as np
     from PIL import Image
 
-    from rlbench.render.jobs.contact_sheet import cut_tile
-    from rlbench.render.presets import TEST_SCENES
+    from rlbench.apps.render.jobs.contact_sheet import cut_tile
+    from rlbench.clips.presets import TEST_SCENES
 
     sheet = np.asarray(Image.open(CONTACT_SHEET).convert("RGB"))
     pictures = {}

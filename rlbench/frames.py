@@ -50,7 +50,7 @@ class GBuffer:
 
     Some clips have more buffers, to be read by `extra`: object, albedo_first and, for the first
     surface behind glass and mirrors (primary surface replacement), normal_psr, depth_psr and
-    object_psr (see rlbench.render.mitsuba.gbuffer). A method that declares one of these runs on
+    object_psr (see docs/concepts/tracing.md). A method that declares one of these runs on
     such clips alone.
 
     >>> gbuffer = GBuffer({"depth": torch.ones(1, 1, 4, 5)}, static=True)

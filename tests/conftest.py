@@ -11,9 +11,9 @@ import pytest
 import torch
 
 from rlbench import registry
+from rlbench.apps.render.mitsuba.variant import wheel_files
 from rlbench.clips.frame_files import write_frame
 from rlbench.clips.header import Header, write_header
-from rlbench.render.mitsuba.variant import wheel_files
 from rlbench.system import paths
 
 # Dr.Jit loads LLVM on its first import, which may be a test's own: not an older one of the system

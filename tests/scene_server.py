@@ -14,8 +14,8 @@ from contextlib import suppress
 from pathlib import Path
 from urllib.parse import parse_qs, unquote, urlsplit
 
-from rlbench.scenes.collection.catalog import pins_folder
-from rlbench.scenes.collection.pins import Pin, PinnedFile, format_pin
+from rlbench.apps.render.scenes.collection.catalog import pins_folder
+from rlbench.apps.render.scenes.collection.pins import Pin, PinnedFile, format_pin
 
 __all__ = ["FILES", "SceneServer", "found_files"]
 

@@ -39,9 +39,9 @@ LIGHT = [
     "rlbench.benchmark.results",
     "rlbench.benchmark.regression.pages",
     "rlbench.cli.regress",
-    "rlbench.scenes.collection.catalog",
+    "rlbench.apps.render.scenes.collection.catalog",
     "rlbench.system.provenance",
-    *(f"rlbench.scenes.{name}.scene" for name in ("city", "temple", "hall", "ripples")),
+    *(f"rlbench.apps.render.scenes.{name}.scene" for name in ("city", "temple", "hall", "ripples")),
 ]
 PUBLIC = [(module, name) for module in LAZY for name in importlib.import_module(module).__all__]
 

@@ -10,7 +10,7 @@ import pytest
 
 ROOT = Path(__file__).parents[1]
 PACKAGES = ("rlbench", "baselines", "methods", "metrics", "reports")
-WORKER = "rlbench/render/cycles/worker"  # runs in Blender
+WORKER = "rlbench/apps/render/cycles/worker"  # runs in Blender
 
 
 def _module(file: Path) -> str:

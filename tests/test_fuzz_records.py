@@ -29,6 +29,7 @@ from hypothesis import strategies as st
 from torch import nn
 
 from rlbench.apps.dumps.importers.layout import read_layout, ready_layouts
+from rlbench.apps.render.scenes.collection.pins import Pin, PinnedFile, format_pin, read_pin
 from rlbench.benchmark import cost, looks, results
 from rlbench.benchmark.cell_key import CellId, CellKey
 from rlbench.benchmark.regression.baseline import SCHEMA, load_baseline
@@ -37,7 +38,6 @@ from rlbench.clips.header import FILE, read_header
 from rlbench.clips.linear_images import read_linear
 from rlbench.clips.pfm import write_pfm
 from rlbench.errors import RlbenchError
-from rlbench.scenes.collection.pins import Pin, PinnedFile, format_pin, read_pin
 from rlbench.training.queue import read_queue
 from rlbench.weights import ModelCard, card_path, load_into, read_card, save, training_clips
 from tests.conftest import write_noise

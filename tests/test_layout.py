@@ -26,8 +26,8 @@ TIMED = (  # what measures, what stops in time, and what writes down the cost of
     "rlbench/parallel/executor.py",
     "methods/ours/experiments/compare_learners.py",
     "rlbench/training/profiler.py",
-    "rlbench/render/mitsuba/tracer.py",
-    "rlbench/render/cycles/worker/worker.py",
+    "rlbench/apps/render/mitsuba/tracer.py",
+    "rlbench/apps/render/cycles/worker/worker.py",
 )
 
 
@@ -64,7 +64,7 @@ def test_packages_are_those_of_this_checkout():
         ),
         pytest.param(
             r"integrator\.sample\(|mi\.render\(",
-            ("rlbench/render/mitsuba/open_tracer.py",),
+            ("rlbench/apps/render/mitsuba/open_tracer.py",),
             id="light is traced in one place",
         ),
         pytest.param(r"\A(?!\"\"\"[^\n]*\S)", (), id="a module begins with what it is"),

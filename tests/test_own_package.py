@@ -11,9 +11,9 @@ import pytest
 import torch
 
 from rlbench import registry
+from rlbench.apps.render.jobs.render_clips import preset_jobs
 from rlbench.benchmark import results
 from rlbench.clips.stored import open_clip
-from rlbench.render.jobs.render_clips import preset_jobs
 from rlbench.run import run_clip
 from tests.cli.runner import rlbench
 from tests.procedural_folder import write_world

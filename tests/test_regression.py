@@ -10,13 +10,13 @@ from pathlib import Path
 import pytest
 
 from rlbench import registry
+from rlbench.apps.render.jobs.render_clips import ensure
+from rlbench.apps.render.mitsuba.variant import select_variant
 from rlbench.benchmark.clip_sources import StoredSource
 from rlbench.benchmark.regression import comparison
 from rlbench.benchmark.regression.baseline import find_baseline, load_baseline
 from rlbench.benchmark.run_plan import RunPlan
 from rlbench.benchmark.runner import measure, read_cells
-from rlbench.render.jobs.render_clips import ensure
-from rlbench.render.mitsuba.variant import select_variant
 from rlbench.system import paths
 
 SMALL = Path(__file__).parent / "tiny.json"  # written by `make baseline`, as the one that ships

@@ -9,9 +9,9 @@ from pathlib import Path
 import pytest
 from typer.testing import CliRunner
 
+from rlbench.apps.render.jobs import render_clips
 from rlbench.benchmark import results
 from rlbench.cli.app import app
-from rlbench.render.jobs import render_clips
 from rlbench.training import lr_find
 from rlbench.weights import read_card
 from tests.procedural_folder import write_world

@@ -11,7 +11,7 @@ DataFrame; cells that the folder holds already are not measured again::
     from rlbench.benchmark.clip_sources import StoredSource
     from rlbench.benchmark.run_plan import RunPlan
     from rlbench.benchmark.runner import measure, read_cells
-    from rlbench.render.jobs.render_clips import rendered
+    from rlbench.apps.render.jobs.render_clips import rendered
 
     clips = tuple(StoredSource(folder) for folder in rendered(["city"], "mini"))
     plan = RunPlan(("ours", "ntas"), clips, spp=(1.0, 4.0))

@@ -25,16 +25,16 @@ from rlbench import registry
 from rlbench.backends import EAGER, select_backend
 from rlbench.benchmark import cost as costs
 from rlbench.benchmark import latency, results
-from rlbench.benchmark.clip_sources import POOLS, StoredSource, open_source
+from rlbench.benchmark.clip_sources import StoredSource, list_pools, open_source
 from rlbench.benchmark.run_outcome import RunWarning, judge_run
 from rlbench.benchmark.run_plan import DEFAULT_SPP, RunPlan
 from rlbench.benchmark.runner import CellCallback, measure, read_cells
+from rlbench.clips.presets import get_preset
+from rlbench.clips.rendering import render_preset_clips
 from rlbench.clips.stored import find_all_clips
 from rlbench.errors import OptionError, names_arguments
 from rlbench.parallel.executor import LOCAL, Executor
 from rlbench.registry.near_names import unknown_name
-from rlbench.render.jobs.render_clips import render_preset_clips
-from rlbench.render.presets import get_preset
 from rlbench.system import paths
 from rlbench.system.bfloat16 import require_native_bf16
 from rlbench.system.paths import check_writable
@@ -266,8 +266,8 @@ def select_clips(
     RlbenchError where a selection is empty or contradictory.
     """
     selected, limit_frames = _as_list(scenes), check_limit(limit_frames)
-    if pool not in POOLS:
-        raise OptionError(f"no pool '{pool}'; available: {', '.join(POOLS)}")
+    if pool not in (pools := list_pools()):
+        raise OptionError(unknown_name(f"--pool {pool}: no such pool", pool, pools))
     if clips is None:
         folders = render_preset_clips(
             selected,
@@ -374,7 +374,7 @@ def check_run(
     """Check the options of a run that need no clip; nothing is written and no clip is opened.
 
     `preset` is that of the clips, None for clips in folders; their samples are those of `pool`
-    (rlbench.benchmark.clip_sources.POOLS). Raises CostError for a cost profile,
+    (`rlbench.benchmark.clip_sources.list_pools`). Raises CostError for a cost profile,
     WeightsError for a weights file or its card, PluginError for a metric that cannot be used,
     WriteError where the results or the cache cannot be written, UnknownPresetError, and
     OptionError where no method can be measured at any budget.

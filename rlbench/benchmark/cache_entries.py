@@ -12,32 +12,22 @@ from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 
-from rlbench.scenes.collection.catalog import CREDITS, load_catalog
+from rlbench.registry import apps
 
 CLIP_FILES = ("*.exr", "rounds.*.txt", "pool.*.txt", "clip.toml", "scene.txt")
 DECODED = re.compile(r"[0-9a-f]{32}-[0-9a-f]{8}")
-REMADE = {  # kind: what makes it again
-    "clips": "rlbench render",
-    "decoded frames": "the next run",
-    "file hashes": "the next run",
-    "sample times": "the next run",
-    "kernels": "the next rendering",
-    "probes": "the next rendering",
-    "contact sheet": "make contact",
-    "Blender scenes": "rlbench render",
-    "scenes by others": "rlbench scenes get",
-    "pins of scenes": "rlbench scenes pin",
-}
+NEXT_RUN = "the next run"
 
 
 @dataclass(frozen=True)
 class CacheEntry:
     """Files of the cache that belong together."""
 
-    kind: str  # a key of REMADE
+    kind: str  # such as `clips`
     name: str  # of the clip, folder or file
     preset: str  # of a clip; empty for everything else
     files: tuple[Path, ...]
+    remade_by: str  # what makes the files again
 
     @property
     def bytes(self) -> int:
@@ -49,11 +39,6 @@ class CacheEntry:
         """Seconds since 1970 at which a file was last read or written, as the file system says."""
         return max((max(stat.st_atime, stat.st_mtime) for stat in self._stats()), default=0.0)
 
-    @property
-    def remade_by(self) -> str:
-        """What makes the files again."""
-        return REMADE[self.kind]
-
     def _stats(self) -> Iterator[os.stat_result]:
         for file in self.files:
             with suppress(FileNotFoundError):  # another process removed it
@@ -64,22 +49,24 @@ def find_entries(cache: Path) -> list[CacheEntry]:
     """The known entries of a cache folder, clips first, sorted by name."""
     clips = (folder for folder in sorted(cache.glob("clips/*/*")) if folder.is_dir())
     entries = [
-        CacheEntry("clips", clip.name, clip.parent.name, _files(clip, CLIP_FILES)) for clip in clips
+        CacheEntry("clips", clip.name, clip.parent.name, _files(clip, CLIP_FILES), "rlbench render")
+        for clip in clips
     ]
     decoded = (f for f in sorted(cache.glob("decoded/*")) if DECODED.fullmatch(f.name))
-    entries += [_entry("decoded frames", each, each.rglob("*.npy")) for each in decoded]
+    entries += [group_files("decoded frames", each, each.rglob("*.npy")) for each in decoded]
     stamps = cache / "decoded" / "stamps"
-    entries += [_entry("file hashes", stamps, stamps.glob("*.json"))]
-    kernels = sorted(cache.glob("drjit-*"))
-    entries += [_entry("kernels", each, _files(each, ("*.bin", "sweep.stamp"))) for each in kernels]
-    named = {"sample times": ("sample_ms.json",), "probes": ("cuda.json",)}
-    entries += [_entry(kind, cache, _files(cache, names)) for kind, names in named.items()]
-    contact, cycles = cache / "contact", cache / "cycles"
-    entries += [_entry("contact sheet", contact, contact.glob("*.npy"))]
-    scenes = [*cycles.glob("*.json"), *cycles.glob("*.log"), *cycles.glob("*/open.log")]
-    entries += [_entry("Blender scenes", cycles, scenes)]
-    entries += _collection_entries(cache / "scenes")
+    entries += [group_files("file hashes", stamps, stamps.glob("*.json"))]
+    entries += [group_files("sample times", cache, _files(cache, ("sample_ms.json",)))]
+    for find_more in apps.load_parts("cache_entries"):
+        entries += find_more(cache)
     return [entry for entry in entries if entry.files]
+
+
+def group_files(
+    kind: str, folder: Path, files: Iterable[Path], remade_by: str = NEXT_RUN
+) -> CacheEntry:
+    """The entry of files that belong together; it is called after their folder."""
+    return CacheEntry(kind, folder.name, "", tuple(sorted(files)), remade_by)
 
 
 def find_unknown(cache: Path, entries: Iterable[CacheEntry]) -> list[Path]:
@@ -101,22 +88,8 @@ def remove_entry(entry: CacheEntry, cache: Path) -> None:
                 folder.rmdir()
 
 
-def _collection_entries(folder: Path) -> Iterator[CacheEntry]:
-    """Downloaded scenes and pins; a link leads to files of the user, which are not the cache's."""
-    yield _entry("pins of scenes", folder / "pins", folder.glob("pins/*.tsv"))
-    for name, scene in load_catalog().items() if folder.is_dir() else ():
-        own = folder / name
-        known = (own / path for path in (*(file.path for file in scene.files), CREDITS))
-        found = () if own.is_symlink() else (path for path in known if path.is_file())
-        yield _entry("scenes by others", own, found)
-
-
 def _depth(folder: Path) -> int:
     return len(folder.parts)
-
-
-def _entry(kind: str, folder: Path, files: Iterable[Path]) -> CacheEntry:
-    return CacheEntry(kind, folder.name, "", tuple(sorted(files)))
 
 
 def _files(folder: Path, patterns: Iterable[str]) -> tuple[Path, ...]:

@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, field, replace
-from functools import cache, cached_property
-from hashlib import sha256
+from functools import cached_property
 from pathlib import Path
 
 import torch
@@ -15,11 +14,10 @@ from rlbench.clips.header import Header, read_header
 from rlbench.clips.stored import StoredClip, open_clip
 from rlbench.family import Traits
 from rlbench.frames import Clip
-from rlbench.render.jobs.live_pool import open_live_clip, scene_of_folder
-from rlbench.render.mitsuba.variant import select_variant
-from rlbench.system import code_hash, provenance
+from rlbench.registry import apps
+from rlbench.registry.discovery import resolve
 
-POOLS = ("stored", "live")  # samples read from the clip's files, or traced when drawn
+STORED = "stored"  # the pool of samples in the clip's files; apps add others
 
 
 @dataclass(frozen=True)
@@ -73,49 +71,20 @@ class StoredSource:
         return open_clip(self.folder, *chosen, self.limit_frames)
 
 
-@dataclass(frozen=True)
-class LiveSource(StoredSource):
-    """A clip folder whose samples are traced when they are drawn."""
-
-    def content(self, pool: str) -> str:
-        """Hash of the folder, tracer and machine: samples of two machines may differ."""
-        tracer = f"{_tracer()} {select_variant()} {provenance.machine().name}"
-        content = f"{super().content(pool)} live {tracer} {provenance.versions()['mitsuba']}"
-        return sha256(content.encode()).hexdigest()[:32]
-
-    @property
-    def cost_key(self) -> str:
-        """The clip's name: the time to trace a sample differs between scenes."""
-        return self.header.name
-
-    def pool_spp(self, spp: float) -> int:
-        """As many as are stored, so that images equal those of stored samples; above, twice the
-        budget, so that densities can still vary.
-        """
-        stored = self.header.pool_spp
-        return stored if spp <= stored else 2 * math.ceil(spp)
-
-    def open(self, traits: Traits, spp: float, seed: int, device: torch.device) -> Clip:
-        """The clip with the buffers that `traits` declare; no stored sample is read."""
-        max_samples = max_samples_needed(traits, spp, self.pool_spp(spp))
-        return open_live_clip(self._open(traits, max_samples, seed, device), max_samples)
-
-
-@cache
-def _tracer() -> str:
-    """Hash of the code that traces live samples."""
-    return code_hash.code_hash(["rlbench.render", "rlbench.scenes"], core=())
+def list_pools() -> list[str]:
+    """What `--pool` may name: the stored samples, and what apps trace when it is drawn."""
+    return [STORED, *apps.merge_parts("pools")]
 
 
 def open_source(folder: Path, pool: str) -> StoredSource:
-    """The source of a clip folder with `pool` samples, one of POOLS.
+    """The source of a clip folder with `pool` samples, one of `list_pools`.
 
     Raises ClipError for a live pool if the clip's scene cannot be traced.
     """
-    if pool != "live":
+    if pool == STORED:
         return StoredSource(folder)
-    scene_of_folder(folder)
-    return LiveSource(folder)
+    source: StoredSource = resolve(apps.merge_parts("pools")[pool])(folder)
+    return source
 
 
 def samples_at_cap(traits: Traits, pool_spp: int) -> int:

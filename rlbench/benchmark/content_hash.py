@@ -25,8 +25,6 @@ TIMING = (
     "rlbench.benchmark.cost",
     "rlbench.benchmark.latency",
     "rlbench.benchmark.timing",
-    "rlbench.render.jobs.live_pool",
-    "rlbench.render.mitsuba.tracer",
     "rlbench.system.process_settings",
 )  # modules that measure times
 

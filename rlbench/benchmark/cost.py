@@ -17,9 +17,10 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 from rlbench import registry
 from rlbench.benchmark.results import NO_GBUFFER, UNCERTAIN, WIDE, uncertainty
+from rlbench.benchmark.sample_clock import open_clock
 from rlbench.errors import RlbenchError
 from rlbench.registry.near_names import suggest
-from rlbench.system import code_hash, documents, paths, provenance
+from rlbench.system import documents, paths, provenance
 
 if TYPE_CHECKING:
     from rlbench.benchmark.clip_sources import StoredSource
@@ -288,9 +289,8 @@ def tracing(header: Header, machine: str, pool: str) -> str:
     if is_known or header.scene not in registry.list_entries("scenes"):
         return ""
     try:
-        from rlbench.render.mitsuba.open_tracer import describe_tracer
-
-        return f"{describe_tracer()} {_code(header.scene)}"
+        clock = open_clock()
+        return f"{clock.describe()} {clock.describe_code(header.scene)}"
     except Exception as error:  # `measured` gives the reason in its note
         return type(error).__name__
 
@@ -327,10 +327,8 @@ def with_certain_sample(clip: StoredSource) -> StoredSource:
     """
     if not is_uncertain(clip.header):
         return clip
-    from rlbench.render.jobs.render_clips import remeasure_sample_ms
-
     try:
-        remeasure_sample_ms(clip.folder)
+        open_clock().measure_again(clip.folder)
     except RlbenchError as error:
         _logger.warning("the time of a sample of %s stays: %s", clip.header.name, error)
     return replace(clip)  # which reads the header anew
@@ -344,23 +342,14 @@ def _interval(header: Header) -> tuple[float, float]:
 
 def _traced_here(header: Header, machine: str, pool: str) -> tuple[float, str]:
     """Milliseconds of a sample by this machine's tracer, from the cache or now, and the tracer."""
-    scene = registry.load_plugin("scenes", header.scene)()
-    from rlbench.render.jobs.extra_pools import pool_sample_ms
-    from rlbench.render.mitsuba.open_tracer import describe_tracer, sample_ms
-
-    file, tracer = paths.cache_folder() / "sample_ms.json", describe_tracer()
+    clock = open_clock()
+    file, tracer = paths.cache_folder() / "sample_ms.json", clock.describe()
     times = json.loads(file.read_text()) if file.is_file() else {}
-    key = f"{header.scene} {header.width}x{header.height} {machine} {tracer} {_code(header.scene)}"
+    code = clock.describe_code(header.scene)
+    key = f"{header.scene} {header.width}x{header.height} {machine} {tracer} {code}"
     key += f" {pool}" * (pool != "path")
     if key not in times:
-        size = scene, header.height, header.width
-        times[key] = float(sample_ms(*size) if pool == "path" else pool_sample_ms(*size, pool))
+        times[key] = clock.measure_sample_ms(header.scene, header.height, header.width, pool)
         with paths.atomic_write(file) as temporary:
             temporary.write_text(json.dumps(times, indent=1))
     return float(times[key]), tracer
-
-
-def _code(scene: str) -> str:
-    """Hash of the code of a scene and of the tracer."""
-    target = registry.list_entries("scenes")[scene].target.partition(":")[0]
-    return code_hash.code_hash(code_hash.import_closure(target), core=["rlbench.render"])

@@ -15,8 +15,8 @@ from rlbench import registry
 from rlbench.benchmark.clip_sources import StoredSource
 from rlbench.benchmark.run_plan import RunPlan, row_name
 from rlbench.benchmark.runner import ProgressCallbacks, RunSummary, measure
-from rlbench.render.jobs import render_clips
-from rlbench.render.presets import find_preset
+from rlbench.clips.presets import find_preset
+from rlbench.clips.rendering import render_preset_clips
 from rlbench.training import dataset
 from rlbench.training.dataset import TrainingSplit
 from rlbench.training.loop import TrainingRuns
@@ -78,7 +78,7 @@ def folds(preset: str, scenes: Sequence[str], names: Sequence[str]) -> list[Fold
             dataset.select_split(preset, None, scene, pools),
             tuple(
                 StoredSource(folder)
-                for folder in render_clips.render_preset_clips([scene], preset, pool_kinds=pools)
+                for folder in render_preset_clips([scene], preset, pool_kinds=pools)
             ),
         )
         for scene in scenes or preset_scenes or ["any"]

@@ -6,33 +6,23 @@ takes a few seconds, but not rendered.
 
 from __future__ import annotations
 
-import importlib
-import inspect
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 from rlbench import registry
 from rlbench.benchmark import cost
+from rlbench.clips.presets import PRESETS
 from rlbench.family import Traits, Variant
 from rlbench.registry.near_names import unknown_name
-from rlbench.render.presets import GENERATORS, PRESETS, TEST_SCENES
 
 if TYPE_CHECKING:
     import pandas as pd
 
-    from rlbench.render.scene import Scene
     from rlbench.weights import ModelCard
 
 Row = dict[str, Any]
 Listing = dict[str, list[Row]]  # one list of rows a kind
-TAKE_FRAMES = 20  # of preset standard, which has all takes
-SKIES = {
-    "sunsky": "sun and sky",
-    "constant": "a sky of one colour",
-    "directional": "the sun, as a direction",
-    "envmap": "an environment map",
-}
 
 
 def list_installed(kind: str = "all") -> Listing:
@@ -130,7 +120,6 @@ def _find_plugins(group: str) -> list[Row]:
 
 
 def _list_presets() -> list[Row]:
-    from rlbench.render.presets import PRESETS
 
     return [
         {
@@ -171,30 +160,6 @@ class MethodFacts:
     broken: str = ""  # why the family cannot be imported
 
 
-@dataclass(frozen=True)
-class TakeFacts:
-    """A clip of a scene."""
-
-    clip: str
-    static: bool
-    cuts: tuple[int, ...]
-    light_changes: tuple[int, ...]
-
-
-@dataclass(frozen=True)
-class SceneFacts:
-    """A scene of the presets: what it shows, what lights it, and its clips."""
-
-    name: str
-    title: str
-    about: tuple[str, ...]  # paragraphs
-    lights: tuple[str, ...]
-    takes: tuple[TakeFacts, ...]
-    triangles: int  # 0 for a generator of scenes
-    presets: tuple[str, ...]
-    licence: str
-
-
 def method_facts() -> list[MethodFacts]:
     """All installed rows, in the order of their families; those that cannot be imported last."""
     facts = map(_method_facts, list_installed("methods")["methods"])
@@ -213,18 +178,6 @@ def frames_trained(rows: pd.DataFrame) -> dict[str, int]:
     trained = {hash_file(file): card.frames_trained for file, card in cards.items()}
     pairs = zip(rows["method"], rows["weights_hash"].str.partition(",")[0], strict=True)
     return {name: trained[weights] for name, weights in set(pairs) if trained.get(weights)}
-
-
-def scene_facts() -> list[SceneFacts]:
-    """The test scenes, then the generators of scenes.
-
-    >>> [scene.name for scene in scene_facts()]
-    ['city', 'temple', 'hall', 'ripples', 'generated', 'eventful', 'hard']
-    """
-    return [
-        *(_scene_facts(name, registry.load_plugin("scenes", name)()) for name in TEST_SCENES),
-        *(_generator_facts(name) for name in GENERATORS),
-    ]
 
 
 def _method_facts(row: Mapping[str, Any]) -> MethodFacts:
@@ -252,47 +205,3 @@ def _card(name: str) -> ModelCard | None:
     from rlbench.weights import read_card
 
     return read_card(file)
-
-
-def _scene_facts(name: str, scene: Scene) -> SceneFacts:
-    emitters = [mesh.name for mesh in scene.meshes if mesh.emission]
-    lights = [SKIES.get(str(each["type"]), str(each["type"])) for each in scene.sky]
-    lights += [f"meshes that glow: {', '.join(emitters)}"] if emitters else []
-    main = TakeFacts(name, scene.static, scene.cuts, scene.light_changes(TAKE_FRAMES))
-    takes = []
-    for take in scene.takes:
-        shot = scene.select_take(take.name)
-        changes = shot.light_changes(TAKE_FRAMES)
-        takes.append(TakeFacts(f"{name}-{take.name}", take.static, take.cuts, changes))
-    return SceneFacts(
-        name=name,
-        title=scene.title,
-        about=_paragraphs(name),
-        lights=tuple(lights),
-        takes=(main, *takes),
-        triangles=sum(len(mesh.faces) for mesh in scene.meshes),
-        presets=tuple(p.name for p in PRESETS.values() if name in p.scenes),
-        licence=scene.licence,
-    )
-
-
-def _generator_facts(name: str) -> SceneFacts:
-    presets = [p for p in PRESETS.values() if p.seeds and p.generator == name]
-    seeds = [f"{p.name}: seeds {min(p.seeds)} to {max(p.seeds)}" for p in presets]
-    return SceneFacts(
-        name=name,
-        title=f"{name.capitalize()} scenes, one for each seed",
-        about=(*_paragraphs(name), *seeds),
-        lights=("drawn from the seed",),
-        takes=(),
-        triangles=0,
-        presets=tuple(preset.name for preset in presets),
-        licence="Apache-2.0",
-    )
-
-
-def _paragraphs(name: str) -> tuple[str, ...]:
-    """The paragraphs of the docstring of the module that makes a scene."""
-    target = registry.list_entries("scenes")[name].target.partition(":")[0]
-    text = inspect.getdoc(importlib.import_module(target)) or ""
-    return tuple(" ".join(part.split()) for part in text.split("\n\n"))

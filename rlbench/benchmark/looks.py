@@ -20,7 +20,7 @@ from hashlib import sha256
 from pathlib import Path
 
 from rlbench.benchmark.cell_key import CellKey
-from rlbench.render.presets import is_test_split
+from rlbench.clips.presets import is_test_split
 from rlbench.system.paths import open_to_append, write_error
 
 _logger = logging.getLogger(__name__)

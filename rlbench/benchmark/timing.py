@@ -16,6 +16,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from itertools import chain, islice
 from pathlib import Path
 from typing import Any
@@ -35,9 +36,9 @@ from rlbench.benchmark.results import (
     uncertainty,
 )
 from rlbench.benchmark.run_plan import Cell, CellLoader
+from rlbench.benchmark.sample_clock import SampleClock, open_clock
 from rlbench.benchmark.scoring import with_value
 from rlbench.parallel.executor import Executor, JobResult, ProgressCallback, Resources
-from rlbench.render.jobs.live_pool import open_wavefronts, scene_of_folder
 from rlbench.run import run_clip
 from rlbench.system import provenance
 
@@ -238,16 +239,17 @@ class ScatterMeter:
 
     loader: CellLoader
     _has_scene: dict[Path, bool] = field(default_factory=dict, repr=False)  # by clip folder
-    _open: tuple[Path, Any] | None = field(default=None, repr=False)
+
+    @cached_property
+    def _clock(self) -> SampleClock:
+        """The clock of this machine, which keeps the scene open that it traced last."""
+        return open_clock()
 
     def measure(self, cell: Cell) -> Scatter:
         """The factor of a cell's own counts; 1 with a note where its scene cannot be traced."""
         try:
-            tracer = self._tracer(cell)
-            counts = self._counts(cell)
-            from rlbench.render.jobs.live_pool import scatter_factor
-
-            return Scatter(scatter_factor(tracer, counts))
+            self._clock.check_scene(cell.clip.folder)  # at once: counts take a while
+            return Scatter(self._clock.measure_scatter(cell.clip.folder, self._counts(cell)))
         except Exception as error:  # no scene, no tracer or no sample is a reason, it stops no run
             reason = f"{type(error).__name__}: {error}"
             return Scatter(1.0, f"scattered samples cost as those of a full frame: {reason}")
@@ -257,7 +259,7 @@ class ScatterMeter:
         folder = cell.clip.folder
         if folder not in self._has_scene:
             try:
-                scene_of_folder(folder)
+                self._clock.check_scene(folder)
                 self._has_scene[folder] = True
             except Exception:  # whatever building a scene may raise: `measure` gives the reason
                 self._has_scene[folder] = False
@@ -267,14 +269,6 @@ class ScatterMeter:
         frames = run_clip(self.loader.method(cell), self.loader.clip(cell), cell.spp)
         *_, last = islice(frames, FRAMES)
         return last.samples.counts
-
-    def _tracer(self, cell: Cell) -> Any:
-        """The tracer of a cell's clip. Raises ClipError where the scene is not here."""
-        folder = cell.clip.folder
-        if self._open is None or self._open[0] != folder:
-            self._open = None  # closes the scene before the next one is opened
-            self._open = folder, open_wavefronts(folder)
-        return self._open[1]
 
 
 def timing_rows(

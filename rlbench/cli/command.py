@@ -16,10 +16,11 @@ import typer
 from typer.core import TyperCommand, TyperGroup
 
 from rlbench import registry
-from rlbench.cli.commands import GROUPS, CommandEntry, list_commands
+from rlbench.cli.commands import GROUPS, list_commands
 from rlbench.cli.options import EXECUTION, OTHER, complete_methods
 from rlbench.cli.options import GROUPS as OPTION_GROUPS
 from rlbench.errors import RlbenchError
+from rlbench.registry.apps import CommandEntry
 from rlbench.registry.near_names import suggest
 from rlbench.registry.plugin_code import exits_as_errors
 from rlbench.system.paths import FolderNotWritableError, WriteError, write_error, write_remedy

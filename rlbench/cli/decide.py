@@ -114,7 +114,7 @@ def _next_run(rows: pd.DataFrame, method: str, spp: float, results: Path) -> str
     sample, which images made elsewhere have not; the weights of a row with a label are not known.
     """
     from rlbench.benchmark.results import RowName
-    from rlbench.render.presets import find_preset
+    from rlbench.clips.presets import find_preset
 
     own = rows[rows["method"] == method]
     presets = [find_preset(name) for name in set(own["preset"])]

@@ -15,6 +15,7 @@ from rlbench.checks.result import CheckResult, not_applicable, passed, warning
 from rlbench.cli import options
 from rlbench.cli.json_output import show_checks
 from rlbench.cli.methods import load_plugins
+from rlbench.registry import apps
 from rlbench.system import paths, provenance
 
 MIN_FREE_GIB = 2  # of disk space, below which a warning is shown
@@ -48,8 +49,7 @@ def inspect_machine() -> Iterator[CheckResult]:
     checks: tuple[Callable[[], Iterator[CheckResult]], ...] = (
         _check_versions,
         _check_devices,
-        _check_path_tracer,
-        _check_cycles,
+        _check_apps,
         _check_clips,
         _check_disk,
         _check_plugins,
@@ -93,29 +93,9 @@ def _check_openvino() -> CheckResult:
     return passed("openvino", f"{version}; --backend openvino can be used")
 
 
-def _check_path_tracer() -> Iterator[CheckResult]:
-    from rlbench.render.mitsuba import variant
-
-    report = variant.describe_variant().removeprefix("path tracer: ")
-    if "scalar" in report.splitlines()[0]:
-        found = report.removesuffix(variant.INSTALL_HINT).rstrip()
-        yield warning("path tracer", found, variant.INSTALL_HINT)
-    else:
-        yield passed("path tracer", report)
-
-
-def _check_cycles() -> Iterator[CheckResult]:
-    from rlbench.render.cycles import process
-
-    version, python = process.bpy_version(), process.interpreter()
-    if not version:
-        found = f"not installed in {python}; a second path tracer for .blend, USD and glTF"
-        yield not_applicable("extra cycles", f"{found}: {process.INSTALL_HINT}")
-    elif version != process.TESTED_BPY_VERSION:
-        found = f"bpy {version} in {python}; rlbench was tested with {process.TESTED_BPY_VERSION}"
-        yield warning("extra cycles", found, f"pip install bpy=={process.TESTED_BPY_VERSION}")
-    else:
-        yield passed("extra cycles", f"bpy {version} in {python}")
+def _check_apps() -> Iterator[CheckResult]:
+    for check in apps.load_parts("machine_checks"):
+        yield from check()
 
 
 def _check_clips() -> Iterator[CheckResult]:

@@ -293,7 +293,7 @@ def _at_size(
         return preset
     if clips and preset is None:
         raise OptionError("--size is that of a preset's clips, and --clips names yours. Omit it")
-    from rlbench.render.presets import get_preset
+    from rlbench.clips.presets import get_preset
 
     names = split_names([preset or ("mini" if holdout else "train")])
     return ",".join(get_preset(name, size).name for name in names)
@@ -314,7 +314,7 @@ def _mix_share(
 
 def _announce_rendering(preset: str | None, seeds: Seeds | None, clips: list[str] | None) -> None:
     """Say how many training clips are rendered before the training begins."""
-    from rlbench.render.presets import find_preset
+    from rlbench.clips.presets import find_preset
     from rlbench.training import dataset
 
     if clips and preset is None and seeds is None:

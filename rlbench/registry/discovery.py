@@ -40,8 +40,7 @@ from rlbench.registry.plugin_files import (
 )
 
 GROUPS = (
-    "methods", "metrics", "reports", "image_reports", "pools", "scenes", "stress", "commands",
-    "executors",
+    "methods", "metrics", "reports", "image_reports", "pools", "scenes", "stress", "apps",
 )  # fmt: skip
 _logger = logging.getLogger(__name__)
 

@@ -13,18 +13,18 @@ from typing import TYPE_CHECKING, NamedTuple
 
 from rlbench.clips.compatibility import incompatibility
 from rlbench.clips.header import FILE, ClipError, Header, read_header
-from rlbench.clips.stored import StoredClip, find_all_clips, open_clip
-from rlbench.errors import OptionError
-from rlbench.family import Traits
-from rlbench.registry.near_names import unknown_name
-from rlbench.render.jobs.render_clips import render_preset_clips
-from rlbench.render.presets import (
+from rlbench.clips.presets import (
     PRESETS,
     PresetUse,
     find_preset,
     get_preset,
     is_clip_for,
 )
+from rlbench.clips.rendering import render_preset_clips
+from rlbench.clips.stored import StoredClip, find_all_clips, open_clip
+from rlbench.errors import OptionError
+from rlbench.family import Traits
+from rlbench.registry.near_names import unknown_name
 from rlbench.system import paths
 from rlbench.training.batches import TRAINING_INPUTS, BatchError
 
@@ -235,10 +235,8 @@ def count_unrendered(preset: str, seeds: tuple[int, ...] | None) -> tuple[int, i
     Raises OptionError if the preset or a seed belongs to a test set, UnknownPresetError if there is
     no such preset.
     """
-    from rlbench.render.jobs.render_clips import selected_names
-
     _check_not_test_set(preset, seeds)
-    names = selected_names(get_preset(preset), seeds=seeds)
+    names = get_preset(preset).clip_names(seeds=seeds)
     files = [paths.clips_folder() / preset / name / FILE for name in names]
     return sum(not file.is_file() for file in files), len(files)
 

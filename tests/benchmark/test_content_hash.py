@@ -7,11 +7,11 @@ import shutil
 import pytest
 
 from rlbench import registry
+from rlbench.apps.render.mitsuba import open_tracer
 from rlbench.benchmark import latency
 from rlbench.benchmark.cell_key import CellId
 from rlbench.benchmark.content_hash import CellIds
 from rlbench.benchmark.run_plan import RunPlan, list_cells
-from rlbench.render.mitsuba import open_tracer
 from rlbench.system import provenance
 from tests.benchmark.test_runner import change_code, run_plan
 from tests.conftest import write_noise, write_plugin
@@ -85,8 +85,8 @@ def test_samples_are_charged_again_on_another_machine(clip_folder, monkeypatch):
 @pytest.mark.parametrize(
     ("module", "has_new_scores"),
     [
-        ("rlbench.render.jobs.live_pool", False),  # measures scattered samples
-        ("rlbench.render.mitsuba.tracer", False),
+        ("rlbench.apps.render.jobs.live_pool", False),  # measures scattered samples
+        ("rlbench.apps.render.mitsuba.tracer", False),
         ("rlbench.benchmark.scoring", True),  # makes the ground truth
         ("rlbench.ops.dither", True),
         ("baselines.oidn.method", True),

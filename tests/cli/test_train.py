@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from rlbench.render.presets import PRESETS
+from rlbench.clips.presets import PRESETS
 from rlbench.training import dataset
 from rlbench.training.loop import TrainingRuns
 from rlbench.weights import read_card

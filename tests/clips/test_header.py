@@ -12,12 +12,12 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from rlbench.apps.render.jobs.job import Job
 from rlbench.clips import ClipError, read_header, verify, write_frame, write_header
 from rlbench.clips.header import BUFFER_CHANNELS
-from rlbench.render.jobs.job import Job
-from rlbench.render.presets import Preset
+from rlbench.clips.presets import Preset
+from tests.apps.render.small_scenes import room
 from tests.clips.clip_folders import FRAMES, HEADER
-from tests.render.small_scenes import room
 
 
 def _edit(folder: Path, old: str, new: str) -> None:

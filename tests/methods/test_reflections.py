@@ -10,9 +10,9 @@ import pytest
 import torch
 
 from methods.ours.experiments.reflections import albedo_difference, virtual_motion
-from rlbench.render.mitsuba.open_tracer import open_tracer
-from rlbench.render.scene import Camera
-from tests.render.small_scenes import around_the_corner, diffuse, grey
+from rlbench.apps.render.mitsuba.open_tracer import open_tracer
+from rlbench.apps.render.scene import Camera
+from tests.apps.render.small_scenes import around_the_corner, diffuse, grey
 
 SIZE, STEP = 16, 0.05  # pixels; metres that the camera moves to the right in each frame
 MIRROR = {"type": "conductor", "material": "none", "specular_reflectance": grey(0.6)}

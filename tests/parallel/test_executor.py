@@ -13,6 +13,8 @@ import pytest
 import torch
 
 from rlbench.apps.cluster.ray_executor import RayExecutor, WorkerEnvironment
+from rlbench.apps.render.jobs.job import Job
+from rlbench.apps.render.jobs.render_clips import render_missing
 from rlbench.benchmark import results
 from rlbench.benchmark.clip_sources import StoredSource
 from rlbench.benchmark.run_plan import RunPlan
@@ -20,12 +22,10 @@ from rlbench.benchmark.runner import RunSummary, measure
 from rlbench.parallel.engines import open_executor
 from rlbench.parallel.executor import LOCAL, ExecutorError, Resources
 from rlbench.registry import METHODS_VARIABLE, list_plugins, use_plugin
-from rlbench.render.jobs.job import Job
-from rlbench.render.jobs.render_clips import render_missing
+from tests.apps.render.jobs.test_render_clips import PRESET, contents
+from tests.apps.render.small_scenes import room
 from tests.benchmark.test_runner import scores
 from tests.conftest import write_noise, write_plugin
-from tests.render.jobs.test_render_clips import PRESET, contents
-from tests.render.small_scenes import room
 
 MAX_RETRIES = 1
 

@@ -36,8 +36,8 @@ class Stage(NamedTuple):
 PYTORCH = Stage("importing PyTorch", "methods")  # and metrics, which share it
 STAGES = (
     Stage("tracing scattered samples", "tracing", (
-        ("rlbench.render.jobs.live_pool", "scatter_factor"),
-        ("rlbench.render.jobs.live_pool", "open_wavefronts"),
+        ("rlbench.apps.render.jobs.live_pool", "scatter_factor"),
+        ("rlbench.apps.render.jobs.live_pool", "open_wavefronts"),
     )),
     Stage("building methods", "methods", (("rlbench.benchmark.run_plan", "build_method"),)),
     Stage("timing methods", "methods", (

@@ -9,12 +9,12 @@ import numpy as np
 import pytest
 import torch
 
+from rlbench.apps.render.jobs.live_pool import LivePool
+from rlbench.apps.render.jobs.render_clips import scene_of_clip
+from rlbench.apps.render.mitsuba.gbuffer import render_gbuffer
+from rlbench.apps.render.mitsuba.open_tracer import open_tracer
+from rlbench.apps.render.mitsuba.variant import select_variant
 from rlbench.frames import Samples
-from rlbench.render.jobs.live_pool import LivePool
-from rlbench.render.jobs.render_clips import scene_of_clip
-from rlbench.render.mitsuba.gbuffer import render_gbuffer
-from rlbench.render.mitsuba.open_tracer import open_tracer
-from rlbench.render.mitsuba.variant import select_variant
 
 SIDE = 720
 SMALL = 96  # for tracing without LLVM

@@ -5,10 +5,10 @@ from __future__ import annotations
 import pytest
 
 from baselines.restir import POOL
-from rlbench.render.jobs.extra_pools import open_streams
-from rlbench.render.jobs.render_clips import scene_of_clip
-from rlbench.render.mitsuba.open_tracer import open_tracer
-from rlbench.render.mitsuba.variant import select_variant
+from rlbench.apps.render.jobs.extra_pools import open_streams
+from rlbench.apps.render.jobs.render_clips import scene_of_clip
+from rlbench.apps.render.mitsuba.open_tracer import open_tracer
+from rlbench.apps.render.mitsuba.variant import select_variant
 
 SIDE = 192
 COUNT = 4  # samples per pixel

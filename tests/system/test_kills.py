@@ -136,11 +136,11 @@ def test_import(tmp_path):
 RENDER = """
 import sys
 from pathlib import Path
-from rlbench.render.jobs.job import Job
-from rlbench.render.jobs.render_clips import render_clip
-from rlbench.render.mitsuba.variant import select_variant
-from rlbench.render.presets import Preset
-from tests.render.small_scenes import room
+from rlbench.apps.render.jobs.job import Job
+from rlbench.apps.render.jobs.render_clips import render_clip
+from rlbench.apps.render.mitsuba.variant import select_variant
+from rlbench.clips.presets import Preset
+from tests.apps.render.small_scenes import room
 select_variant()
 preset = Preset("test", "tests", (16, 24), frames=8, reference_spp=16, pool_spp=3)
 job = Job("room", room(), preset, Path(sys.argv[1]))

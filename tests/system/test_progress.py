@@ -12,9 +12,9 @@ from rich.console import Console
 from rich.progress import Progress
 
 import rlbench
+from rlbench.apps.render.jobs.render_clips import progress_bar
 from rlbench.cli import console as cli
 from rlbench.parallel.executor import LOCAL
-from rlbench.render.jobs.render_clips import progress_bar
 from rlbench.system.progress import LoggedProgress
 
 DEADLINE_S = 20.0  # until a line must have been written, on a busy machine

@@ -6,11 +6,11 @@ from pathlib import Path
 
 import pytest
 
+from rlbench.apps.render.jobs import render_clips
 from rlbench.clips.header import ClipError
 from rlbench.clips.stored import open_clip
 from rlbench.errors import OptionError
 from rlbench.family import Traits
-from rlbench.render.jobs import render_clips
 from rlbench.system import paths
 from rlbench.training import dataset
 from rlbench.training.batches import BatchError

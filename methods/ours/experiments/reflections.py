@@ -35,17 +35,17 @@ from torch import Tensor
 
 from methods.ours.experiments.command import make_parser, print_gains
 from rlbench import registry
+from rlbench.apps.render.jobs.job import SEED, Job
+from rlbench.apps.render.jobs.render_clips import preset_jobs
+from rlbench.apps.render.mitsuba.gbuffer import render_gbuffer
+from rlbench.apps.render.mitsuba.open_tracer import open_tracer
+from rlbench.apps.render.mitsuba.tracer import Tracer
+from rlbench.apps.render.scene import Pose
 from rlbench.clips.in_memory import InMemoryClip
 from rlbench.clips.stored import open_clip
 from rlbench.frames import Clip, Frame, GBuffer
 from rlbench.method import Method
 from rlbench.ops.reprojection import reproject
-from rlbench.render.jobs.job import SEED, Job
-from rlbench.render.jobs.render_clips import preset_jobs
-from rlbench.render.mitsuba.gbuffer import render_gbuffer
-from rlbench.render.mitsuba.open_tracer import open_tracer
-from rlbench.render.mitsuba.tracer import Tracer
-from rlbench.render.scene import Pose
 from rlbench.run import run_clip
 
 PROGRAM = "python -m methods.ours.experiments.reflections"

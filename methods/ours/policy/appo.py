@@ -12,7 +12,7 @@ from torch import nn
 
 from methods.ours.policy.learner import Env
 from rlbench.errors import RlbenchError
-from rlbench.parallel.engines import QUIET_ENVIRONMENT
+from rlbench.parallel.engines import QUIET_RAY
 
 MODULE = "default_policy"  # of RLlib's learner
 NEEDED = ("ray", "gymnasium", "tree")  # tree: dm_tree, which RLlib needs
@@ -61,9 +61,7 @@ def train(
             'pip install "rlbench[train]", or choose another learner: reinforce, critic, '
             "surrogate, gamma"
         )
-    os.environ.update(
-        {name: os.environ.get(name, value) for name, value in QUIET_ENVIRONMENT.items()}
-    )
+    os.environ.update({name: os.environ.get(name, value) for name, value in QUIET_RAY.items()})
     import ray
 
     from methods.ours.policy.rllib import algorithm_config

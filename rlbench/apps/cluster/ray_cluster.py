@@ -11,10 +11,16 @@ import sys
 from collections.abc import Mapping
 from typing import Any
 
-from rlbench.parallel.engines import QUIET_ENVIRONMENT
+from rlbench.parallel.engines import QUIET_RAY
 from rlbench.parallel.executor import ExecutorError, TimeLimit
 from rlbench.system import provenance
 
+MAX_RETRIES = 3  # of a job whose worker died
+ENVIRONMENT = {
+    **QUIET_RAY,
+    "RAY_worker_niceness": "0",  # times are measured at normal priority
+    "RAY_task_oom_retries": str(MAX_RETRIES),  # by default Ray retries without end
+}
 PATIENCE = 0.5  # minutes without an answer of the cluster; Ray ends this process after one
 ANSWER_SECONDS = 2.0  # that a live cluster needs at most to accept a connection
 _logger = logging.getLogger(__name__)
@@ -53,7 +59,7 @@ def stop_ray() -> None:
 
 def import_ray() -> Any:
     """The module `ray`; its environment variables must be set before it is imported."""
-    os.environ.update(QUIET_ENVIRONMENT)
+    os.environ.update(ENVIRONMENT)
     try:
         return importlib.import_module("ray")
     except ImportError as error:

@@ -24,6 +24,7 @@ from typing import Any
 import torch
 
 from rlbench.apps.cluster.ray_cluster import (
+    MAX_RETRIES,
     ClusterLostError,
     ClusterWatch,
     import_ray,
@@ -31,7 +32,6 @@ from rlbench.apps.cluster.ray_cluster import (
     start_ray,
     stop_ray,
 )
-from rlbench.parallel.engines import MAX_RETRIES
 from rlbench.parallel.executor import (
     ONE_CPU,
     ExecutorError,

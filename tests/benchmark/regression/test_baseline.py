@@ -23,7 +23,7 @@ from rlbench.benchmark.regression.baseline import (
 )
 from rlbench.benchmark.regression.comparison import compare
 from rlbench.benchmark.results import to_dataframe
-from rlbench.render.presets import PRESETS
+from rlbench.clips.presets import PRESETS
 from tests.benchmark.regression.examples import baseline, rows
 
 

@@ -23,7 +23,8 @@ from rlbench.apps.view.viewer.data import provenance
 from rlbench.apps.view.viewer.page import to_json
 
 if TYPE_CHECKING:
-    from rlbench.benchmark.listing import MethodFacts, SceneFacts
+    from rlbench.apps.render.scene_facts import SceneFacts
+    from rlbench.benchmark.listing import MethodFacts
 
 
 HOME, METHODS, SCENES = "leaderboard/index.md", "methods/index.md", "scenes/index.md"

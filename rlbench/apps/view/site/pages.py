@@ -14,7 +14,8 @@ from rlbench.apps.view.site.preset_scores import PresetScores
 from rlbench.benchmark.results import mark_uncertainty
 
 if TYPE_CHECKING:
-    from rlbench.benchmark.listing import MethodFacts, SceneFacts, TakeFacts
+    from rlbench.apps.render.scene_facts import SceneFacts, TakeFacts
+    from rlbench.benchmark.listing import MethodFacts
     from rlbench.weights import ModelCard
 
 

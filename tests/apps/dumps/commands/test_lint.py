@@ -6,8 +6,8 @@ from pathlib import Path
 
 import pytest
 
+from rlbench.apps.render.jobs import render_clips
 from rlbench.clips.stored import open_clip
-from rlbench.render.jobs import render_clips
 from rlbench.training import dataset
 from tests.cli.runner import rlbench
 from tests.conftest import write_noise
@@ -22,7 +22,7 @@ def ensured(monkeypatch):
         calls.append((preset, scenes, seeds))
         return []
 
-    monkeypatch.setattr("rlbench.render.jobs.render_clips.ensure", ensure)
+    monkeypatch.setattr("rlbench.apps.render.jobs.render_clips.ensure", ensure)
     return calls
 
 
@@ -76,7 +76,7 @@ def test_the_takes_of_a_preset_can_be_chosen(ensured, requested, takes):
 
 def test_render_can_measure_the_time_of_a_sample_again(clip_folder, monkeypatch):
     monkeypatch.setattr(
-        "rlbench.render.jobs.render_clips.ensure", lambda *_, **__: [Path(clip_folder)]
+        "rlbench.apps.render.jobs.render_clips.ensure", lambda *_, **__: [Path(clip_folder)]
     )
     output = rlbench("render", "--remeasure-sample-time", code=2)
     assert "was rendered on 'another machine'" in output  # by the function that measures
@@ -84,7 +84,7 @@ def test_render_can_measure_the_time_of_a_sample_again(clip_folder, monkeypatch)
 
 def test_render_can_print_the_hashes_by_which_others_recognise_the_clips(clip_folder, monkeypatch):
     monkeypatch.setattr(
-        "rlbench.render.jobs.render_clips.ensure", lambda *_, **__: [Path(clip_folder)]
+        "rlbench.apps.render.jobs.render_clips.ensure", lambda *_, **__: [Path(clip_folder)]
     )
     clip = open_clip(clip_folder)
     assert rlbench("render", "--digests").strip() == f"{clip.name} {clip.digest[:12]}"

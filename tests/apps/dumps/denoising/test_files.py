@@ -402,7 +402,7 @@ def test_a_frame_of_4k_fits_in_memory(arrays, tmp_path):
 
 @pytest.mark.slow
 def test_an_animation_by_blender_is_denoised(tmp_path):
-    from rlbench.render.cycles import process
+    from rlbench.apps.render.cycles import process
 
     if not process.bpy_version():
         pytest.skip(process.INSTALL_HINT)

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import pytest
 
+from rlbench.apps.render.scene_facts import SceneFacts, TakeFacts
 from rlbench.apps.view.site import build_pages, preset_scores
-from rlbench.benchmark.listing import SceneFacts, TakeFacts, method_facts
+from rlbench.benchmark.listing import method_facts
 from rlbench.benchmark.regression.baseline import find_baseline, load_baseline, to_table
 
 

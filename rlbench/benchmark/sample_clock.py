@@ -1,0 +1,53 @@
+"""What times a sample on this machine: the path tracer of an installed app, or nothing."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Protocol
+
+from jaxtyping import Int
+from torch import Tensor
+
+from rlbench.errors import RlbenchError
+from rlbench.registry import apps
+
+
+class NoClockError(RlbenchError, LookupError):
+    """No installed app times samples on this machine."""
+
+
+class SampleClock(Protocol):
+    """Times samples by a path tracer; `App.clock` names what makes one, without arguments."""
+
+    def describe(self) -> str:
+        """The tracer and its threads, on which its times depend."""
+
+    def describe_code(self, scene: str) -> str:
+        """Hash of the code of the tracer and of an installed scene."""
+
+    def measure_sample_ms(self, scene: str, height: int, width: int, pool: str) -> float:
+        """Milliseconds of one sample per pixel of a pool, in an installed scene."""
+
+    def measure_again(self, folder: Path) -> None:
+        """Measure the time of a sample of a clip, and write it into its header.
+
+        Raises RlbenchError for a clip of another machine or of a scene that is not here.
+        """
+
+    def check_scene(self, folder: Path) -> None:
+        """Raise an error if the scene of a clip is not here, as the clip was rendered from it."""
+
+    def measure_scatter(self, folder: Path, counts: Int[Tensor, "1 1 h w"]) -> float:
+        """Time of a sample at these counts over that of a sample of a full frame at 1 spp.
+
+        Raises an error as `check_scene`, and where no pixel has a sample.
+        """
+
+
+def open_clock() -> SampleClock:
+    """The clock of this machine. Raises NoClockError where no app has one."""
+    makers = apps.load_parts("clock")
+    if not makers:
+        raise NoClockError("no installed app times samples here")
+    clock: SampleClock = makers[0]()
+    return clock

@@ -1,0 +1,50 @@
+"""Mitsuba's variants as fixtures: `llvm` skips without a libLLVM, `variant` runs both variants."""
+
+from __future__ import annotations
+
+import sys
+from contextlib import contextmanager
+
+import pytest
+
+from rlbench.apps.render.mitsuba.variant import find_libraries, select_variant
+from rlbench.system import paths
+
+NO_LLVM = "no usable libLLVM on this machine (apt-get install libllvm19)"
+
+
+@pytest.fixture(scope="session")
+def usable_llvm():
+    if all(library.fault for library in find_libraries()):
+        pytest.skip(NO_LLVM)
+
+
+@pytest.fixture
+def llvm(usable_llvm):
+    return select_variant("llvm_ad_rgb")
+
+
+@pytest.fixture(params=["llvm_ad_rgb", "scalar_rgb"])
+def variant(request):
+    if request.param == "llvm_ad_rgb":
+        request.getfixturevalue("llvm")
+    return select_variant(request.param)
+
+
+@pytest.fixture(autouse=True)
+def _fast_again():
+    """The variant that a test sets stays for the next ones: do not leave them the slow one."""
+    yield
+    running = sys.modules["mitsuba"].variant() if "mitsuba" in sys.modules else None
+    if running == "scalar_rgb" and not all(library.fault for library in find_libraries()):
+        select_variant("llvm_ad_rgb")
+
+
+@contextmanager
+def own_cache(tmp_path_factory):
+    """LLVM and a cache of its own, as in a test: for what is rendered once for a module."""
+    select_variant("llvm_ad_rgb")
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv("RLBENCH_CACHE", str(tmp_path_factory.mktemp("cache")))
+        patch.setattr(paths, "_synchronize", lambda path: None)
+        yield

@@ -1,0 +1,205 @@
+"""The job of the Cycles worker, and errors of its process: missing bpy, rejected job, crash."""
+
+import json
+import os
+import sys
+from itertools import product
+from pathlib import Path
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose
+
+from rlbench.apps.render.commands.render import select_tracer
+from rlbench.apps.render.cycles import clip, process, scene_file
+from rlbench.apps.render.cycles.process import (
+    SEEDS_PER_STREAM,
+    STREAMS,
+    CyclesError,
+    CyclesParameters,
+    ImageTask,
+    convert_axes,
+    image_seed,
+    render_job,
+)
+from rlbench.apps.render.scene import Camera, Scene, SceneError
+from rlbench.apps.render.user import camera_path
+from rlbench.apps.render.user.clip import UserSceneOptions
+from rlbench.clips.presets import get_preset
+from rlbench.errors import OptionError
+from tests.apps.render.cycles import shared_scene
+
+LEVEL = Scene("s", "s", (), lambda time: Camera((time, -4.0, 1.0), (time, 0.0, 1.0), fov=40.0))
+
+
+def test_no_two_images_share_a_seed():
+    seeds = [image_seed(*which) for which in product(range(5), STREAMS, range(SEEDS_PER_STREAM))]
+    assert len(set(seeds)) == len(seeds)
+
+
+def test_seeds_stay_below_what_cycles_takes_for_ten_thousand_frames():
+    assert image_seed(10_000, "pilot", SEEDS_PER_STREAM - 1) < 2**31
+
+
+def test_a_camera_that_looks_north_does_so_in_blenders_axes():
+    matrix = convert_axes(camera_path.matrix_from_camera(LEVEL.camera(0.0)))
+    right, up, back, position = matrix[:3].T
+    assert_allclose([right, up, back], [[1, 0, 0], [0, 0, 1], [0, -1, 0]], atol=1e-12)  # float64
+    assert_allclose(position, [0, -4, 1])
+
+
+def make_job(**more):
+    pictures = [ImageTask(Path("a.exr"), 0, 1)]
+    return render_job(
+        Path("a.blend"), LEVEL, 1, 3, (8, 9), CyclesParameters(max_bounces=4), pictures, **more
+    )
+
+
+def test_the_camera_is_given_from_the_frame_before_the_first_to_the_one_after_the_last():
+    positions = np.array(make_job()["camera"]["matrices"])[:, 0, 3]
+    assert_allclose(positions, [-1, 0, 1, 2, 3])
+
+
+def test_a_job_is_json_with_absolute_paths():
+    job = json.loads(json.dumps(make_job()))
+    assert Path(job["scene"]).is_absolute()
+    assert Path(job["renders"][0]["file"]).is_absolute()
+
+
+def test_radiance_never_includes_sample_zero():
+    # Cycles sends it through the pixel's centre whatever the seed, so it does not converge
+    job = make_job()
+    assert all(picture["first"] >= 1 for picture in job["renders"])
+
+
+@pytest.mark.parametrize(
+    ("pair", "match"),
+    [
+        (("depth", "3"), "takes max_bounces, world, start, threads"),
+        (("max_bounces", "many"), "'many' is not a number"),
+        (("world", "nan"), "world must be a number from 0"),
+        (("world", "-1"), "world must be a number from 0"),
+    ],
+)
+def test_an_invalid_parameter_is_refused(pair, match):
+    with pytest.raises(SceneError, match=match):
+        CyclesParameters.parse((pair,))
+
+
+def test_a_preset_with_a_radiance_cap_is_refused(tmp_path):
+    with pytest.raises(SceneError, match="not capped"):
+        clip.ensure_cycles(
+            UserSceneOptions(tmp_path / "a.blend"), get_preset("tiny").with_radiance_cap(4.0)
+        )
+
+
+@pytest.mark.parametrize(
+    ("name", "match"),
+    [("none.blend", "none.blend does not exist"), ("a.max", "it takes .blend, .usd")],
+)
+def test_a_file_that_cannot_be_opened_is_refused_without_blender(name, match, tmp_path):
+    with pytest.raises(SceneError, match=match):
+        clip.ensure_cycles(UserSceneOptions(tmp_path / name), get_preset("tiny"))
+
+
+def test_a_changed_buffer_beside_a_gltf_is_noticed(tmp_path):
+    file, _ = shared_scene.for_blender(tmp_path)
+    parts = scene_file.gltf_parts(file)
+    before = scene_file.hash_files(file, parts)
+    (tmp_path / "both.bin").write_bytes(b"other")
+    assert [Path(part).name for part in parts] == ["both.bin"]
+    assert scene_file.hash_files(file, parts) != before
+
+
+@pytest.mark.parametrize(
+    ("name", "tracer", "match"),
+    [
+        ("a.blend", "mitsuba", "does not read a.blend. mitsuba reads .xml"),
+        ("a.xml", "cycles", "does not read a.xml. .*cycles reads .blend"),
+        ("a.xml", "luxcore", "does not read a.xml. mitsuba reads .*cycles reads"),
+        ("a.max", None, "no tracer reads it"),
+    ],
+)
+def test_a_tracer_that_does_not_read_a_file_is_refused(name, tracer, match):
+    with pytest.raises(OptionError, match=match):
+        select_tracer(Path(name), tracer)
+
+
+@pytest.mark.parametrize(
+    ("name", "tracer"),
+    [("a.xml", "mitsuba"), ("a.py", "mitsuba"), ("A.GLB", "mitsuba"), ("a.blend", "cycles")],
+)
+def test_a_file_goes_to_the_tracer_that_reads_it(name, tracer):
+    assert select_tracer(Path(name), None) == tracer
+
+
+@pytest.fixture
+def python(tmp_path, monkeypatch):
+    """Replaces the Python that has bpy by a script, which can die in other ways."""
+
+    def install(body):
+        script = tmp_path / "python"
+        script.write_text(f"#!/bin/sh\n{body}\n")
+        script.chmod(0o755)
+        monkeypatch.setenv(process.PYTHON_VARIABLE, str(script))
+
+    return install
+
+
+def events(tmp_path, job=None):
+    return list(process.run_worker(job or {}, tmp_path / "logs" / "render.log"))
+
+
+@pytest.mark.parametrize(
+    ("signal", "why"),
+    [("SEGV", "segmentation fault"), ("KILL", "ran out of memory"), ("ABRT", "aborted")],
+)
+def test_the_error_of_a_crash_has_the_signal_and_the_end_of_the_log(python, tmp_path, signal, why):
+    python(f"echo 'BVH build of Suzanne' >&2; kill -{signal} $$")
+    with pytest.raises(CyclesError, match=f"(?s)SIG{signal}.*{why}.*BVH build of Suzanne"):
+        events(tmp_path)
+
+
+def test_an_end_before_it_is_done_is_an_error_even_with_exit_code_zero(python, tmp_path):
+    python("""echo '{"event": "hello", "blender": "4.5"}'""")
+    with pytest.raises(CyclesError, match="exit code 0 before it was done"):
+        events(tmp_path)
+
+
+def test_half_a_line_of_a_process_that_died_is_no_event(python, tmp_path):
+    python("""printf '{"event": "ma'; kill -SEGV $$""")
+    with pytest.raises(CyclesError, match="SIGSEGV"):
+        events(tmp_path)
+
+
+def test_events_arrive_in_order(python, tmp_path):
+    python("""echo '{"event": "made", "file": "a", "seconds": 1}'; echo '{"event": "done"}'""")
+    assert [event["event"] for event in events(tmp_path)] == ["made", "done"]
+
+
+def test_the_error_of_a_missing_interpreter_names_the_variable(tmp_path, monkeypatch):
+    monkeypatch.setenv(process.PYTHON_VARIABLE, str(tmp_path / "none"))
+    with pytest.raises(CyclesError, match=f"{process.PYTHON_VARIABLE}: .*none cannot be run"):
+        events(tmp_path)
+
+
+def test_a_missing_interpreter_has_no_bpy(tmp_path, monkeypatch):
+    monkeypatch.setenv(process.PYTHON_VARIABLE, str(tmp_path / "none"))
+    assert process.bpy_version() is None
+
+
+def test_the_error_of_a_python_without_bpy_says_how_to_install_it(tmp_path, monkeypatch):
+    monkeypatch.setenv(process.PYTHON_VARIABLE, sys.executable)
+    if process.bpy_version():
+        pytest.skip("this Python has bpy")
+    with pytest.raises(CyclesError, match=r"rlbench\[cycles\]"):
+        events(tmp_path)
+
+
+def test_a_caller_that_stops_listening_ends_the_process(python, tmp_path):
+    python(f"""echo $$ > {tmp_path}/pid; echo '{{"event": "made"}}'; exec sleep 60""")
+    listening = process.run_worker({}, tmp_path / "render.log")
+    next(listening)
+    listening.close()
+    with pytest.raises(ProcessLookupError):
+        os.kill(int((tmp_path / "pid").read_text()), 0)

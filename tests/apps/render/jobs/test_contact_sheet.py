@@ -1,0 +1,58 @@
+"""The contact sheet: its images, its cache, and its tone curve."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from rlbench.apps.render.jobs import contact_sheet
+
+
+def test_black_stays_black_and_white_is_reached():
+    white = np.array([[[0.0] * 3, [contact_sheet.WHITE] * 3]])
+    assert contact_sheet.tone_map(white, 1.0)[0, :, 0].tolist() == [0, 255]
+
+
+def test_exposure_is_a_factor_of_radiance():
+    radiance = np.random.default_rng(0).uniform(0, 2, (4, 5, 3))
+    assert np.array_equal(
+        contact_sheet.tone_map(radiance, 3.0), contact_sheet.tone_map(3 * radiance, 1.0)
+    )
+
+
+def test_brighter_is_never_shown_darker():
+    ramp = np.repeat(np.geomspace(1e-4, 50, 300)[None, :, None], 3, -1)
+    assert (np.diff(contact_sheet.tone_map(ramp, 1.0)[0, :, 0].astype(int)) >= 0).all()
+
+
+def test_non_finite_radiance_is_black():
+    assert contact_sheet.tone_map(np.array([[[np.nan, np.inf, -np.inf]]]), 1.0).tolist() == [
+        [[0, 0, 0]]
+    ]
+
+
+def test_the_third_image_starts_the_second_row():
+    pictures = [np.full((3, 5, 3), k, np.uint8) for k in range(3)]
+    page = contact_sheet.tile_images(pictures)
+    assert page.shape == (6 + contact_sheet.GAP, 10 + contact_sheet.GAP, 3)
+    assert page[3 + contact_sheet.GAP :, :5].tolist() == pictures[2].tolist()
+    assert (page[3 + contact_sheet.GAP :, 5:] == 255).all()
+
+
+@pytest.fixture(scope="module")
+def sheet_options(tmp_path_factory):
+    """Scene, size and spp of a sheet, in a cache of its own."""
+    folder = tmp_path_factory.mktemp("contact")
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(contact_sheet.paths, "cache_folder", lambda: folder)
+        yield (["temple", "temple"], 16, 2, folder / "sheet.png")
+
+
+@pytest.mark.slow
+def test_a_second_sheet_traces_nothing_and_is_the_same(sheet_options, monkeypatch):
+    first = Image.open(contact_sheet.write_sheet(*sheet_options)).tobytes()
+    monkeypatch.setattr(contact_sheet, "open_tracer", None)
+    second = Image.open(contact_sheet.write_sheet(*sheet_options))
+    assert second.size == (32 + contact_sheet.GAP, 16)
+    assert second.tobytes() == first

@@ -1,0 +1,351 @@
+"""The live pool, and the cost of scattered samples."""
+
+from __future__ import annotations
+
+import shutil
+from dataclasses import dataclass, replace
+from functools import partial
+
+import numpy as np
+import pytest
+import torch
+
+import rlbench
+from rlbench import registry
+from rlbench.apps.render.jobs.job import Job
+from rlbench.apps.render.jobs.live_pool import (
+    LiveClip,
+    LivePool,
+    open_live_clip,
+    open_wavefronts,
+    scatter_factor,
+)
+from rlbench.apps.render.jobs.render_clips import render_clip, scene_of_clip
+from rlbench.apps.render.mitsuba.open_tracer import open_tracer
+from rlbench.apps.render.mitsuba.tracer import STREAMS
+from rlbench.benchmark.clip_sources import StoredSource, open_source
+from rlbench.benchmark.cost import FULL_FRAME
+from rlbench.benchmark.run_plan import CellLoader, RunPlan, list_cells
+from rlbench.benchmark.timing import ScatterMeter
+from rlbench.clips.exr import channel_dtype
+from rlbench.clips.header import ClipError, read_header
+from rlbench.clips.presets import Preset
+from rlbench.clips.stored import open_clip
+from rlbench.family import Traits
+from rlbench.run import run_clip
+from rlbench.sampling import draw_samples
+from tests.apps.render.conftest import own_cache
+from tests.apps.render.small_scenes import grey, room
+from tests.cli.runner import rlbench as run_command
+from tests.conftest import write_noise
+
+H, W = 16, 24
+PRESET = Preset("test", "tests", (H, W), frames=3, reference_spp=2, pool_spp=4)
+
+
+@dataclass(frozen=True)
+class Follows:
+    """Samples bright pixels in two passes, with the previous image as state."""
+
+    traits: Traits = Traits(adaptive=True, temporal=True, passes=(0.3, 1.0))
+
+    def start(self, size):
+        return torch.zeros(1, 1, size.h, size.w)
+
+    def plan(self, gbuffer, samples, state):
+        return samples.mean.mean(1, keepdim=True) + state + 0.01
+
+    def denoise(self, gbuffer, samples, state):
+        return samples.mean, samples.mean.mean(1, keepdim=True)
+
+
+def glaring():
+    """The room with a lamp so bright that half precision cannot hold its reflections."""
+    *others, lamp = room().meshes
+    emission = {"type": "area", "radiance": grey(1e7)}
+    return replace(room(), meshes=(*others, replace(lamp, emission=emission)))
+
+
+def render_scene(folder, scene, name="room"):
+    render_clip(Job(name, scene, PRESET, folder))
+    return folder
+
+
+@pytest.fixture(scope="module")
+def rendered_room(usable_llvm, tmp_path_factory):
+    with own_cache(tmp_path_factory):
+        return render_scene(tmp_path_factory.mktemp("live") / "room", room())
+
+
+def open_both(folder, scene, seed=0):
+    """The clip with its stored pool, and with a live one."""
+    stored = open_clip(folder, seed=seed)
+    return stored, LiveClip(stored, open_tracer(scene, H, W))
+
+
+def agree(image, other):
+    """Equal but for a few pixels in 10^4, where Embree decides: see WavefrontTracer."""
+    return float((image != other).any(1).double().mean()) < 0.01
+
+
+def images(clip, spp):
+    return torch.cat([result.image for result in run_clip(Follows(), clip, spp)])
+
+
+@pytest.mark.parametrize("spp", [0.0, 0.01, 0.5, 2.3, 4.0])
+def test_a_method_makes_the_same_images_of_live_and_of_stored_samples(llvm, rendered_room, spp):
+    stored, live = open_both(rendered_room, room(), seed=5)
+    assert torch.equal(images(live, spp), images(stored, spp))
+
+
+def test_without_llvm_live_and_stored_images_are_the_same_too(tmp_path):
+    from rlbench.apps.render.mitsuba.variant import select_variant
+
+    select_variant("scalar_rgb")
+    stored, live = open_both(render_scene(tmp_path, room()), room())
+    assert torch.equal(images(live, 0.7), images(stored, 0.7))
+
+
+def test_capped_samples_are_the_same_live(llvm, tmp_path):
+    render_clip(Job("room", room(), PRESET.with_radiance_cap(0.25), tmp_path))
+    stored = open_clip(tmp_path)
+    live = LiveClip(stored, open_tracer(room(), H, W, radiance_cap=0.25 / room().exposure))
+    assert torch.equal(images(live, 2.0), images(stored, 2.0))
+
+
+def test_samples_that_were_stored_as_float_are_the_same_live(llvm, tmp_path):
+    stored, live = open_both(render_scene(tmp_path, glaring()), glaring())
+    assert channel_dtype(tmp_path / "pool.path.0000.exr", "s0.R") == np.float32
+    assert torch.equal(images(live, 2.0), images(stored, 2.0))
+
+
+def test_a_frame_kept_by_the_caller_still_returns_its_own_samples(llvm, rendered_room):
+    stored, live = open_both(rendered_room, room())
+    pool = list(live)[1].pool
+    density = torch.ones(1, 1, H, W)
+    first = draw_samples(pool, pool.empty(), density, 1.5)
+    stored_pool = stored.frame(1).pool
+    assert torch.equal(
+        first.radiance, draw_samples(stored_pool, stored_pool.empty(), density, 1.5).radiance
+    )
+
+
+def launches(work):
+    """The kernels that `work` launches, and what it returns."""
+    import drjit as dr
+
+    with dr.scoped_set_flag(dr.JitFlag.KernelHistory, True):
+        dr.kernel_history_clear()
+        returned = work()
+        return dr.kernel_history([dr.KernelType.JIT]), returned
+
+
+def test_each_sample_drawn_is_one_path_and_nothing_else_is_traced(llvm, rendered_room):
+    _, live = open_both(rendered_room, room())
+    pool = live.frame(1).pool
+    density = torch.rand(1, 1, H, W, generator=torch.Generator().manual_seed(0))
+    samples, sizes = pool.empty(), []
+    for upto in (0.01, 0.1, 0.9, 4.0):
+        kernels, samples = launches(
+            lambda upto=upto, samples=samples: draw_samples(pool, samples, density, upto)
+        )
+        sizes += [kernel["size"] for kernel in kernels]
+    assert sizes == [
+        4,
+        38 - 4,
+        346 - 38,
+        1536 - 346,
+    ]  # 0.01, 0.1, 0.9 and 4 times 16 x 24, less the samples drawn before
+
+
+def test_nothing_is_compiled_after_the_first_frame(llvm, rendered_room):
+    _, live = open_both(rendered_room, room())
+    images(live, 1.0)
+    kernels, _ = launches(lambda: [images(live, spp) for spp in (0.003, 0.01, 0.5, 3.7)])
+    assert kernels
+    assert all(kernel["cache_hit"] for kernel in kernels)
+
+
+def maps(h, w):
+    """Random counts of 0 to 8 samples per pixel: in total one, none, two, 0.01 spp, and more."""
+    random = np.random.default_rng(0)
+    for drawn in (1, 0, 2, round(0.01 * h * w), h * w // 3, 3 * h * w):
+        counts = np.bincount(random.integers(0, h * w, drawn), minlength=h * w)
+        yield torch.from_numpy(np.minimum(counts, 8)).view(1, 1, h, w)
+
+
+def check_no_map_compiles_a_kernel(scene, h, w):
+    tracer = open_tracer(scene, h, w)
+
+    def pool(time):
+        tracer.set_time(time)
+        return LivePool(tracer, time, tuple(range(8)), 1, 1.0, np.float16, torch.device("cpu"))
+
+    first = pool(0.0)
+    first.read(first.empty(), torch.ones(1, 1, h, w, dtype=torch.int64))
+    for time in (1.0, 2.0):
+        later = pool(time)
+        for counts in maps(h, w):
+            kernels, _ = launches(partial(later.read, later.empty(), counts))
+            assert all(kernel["cache_hit"] for kernel in kernels)
+            drawn = int(counts.sum())
+            # one wavefront as wide as the samples drawn; a single lane would be another kernel
+            assert [k["size"] for k in kernels] == [max(drawn, 2)] * (drawn > 0)
+
+
+def test_no_map_of_counts_compiles_a_kernel_and_each_costs_its_sum(llvm):
+    check_no_map_compiles_a_kernel(room(), H, W)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", ["temple", "city", "hall", "ripples"])
+def test_no_map_compiles_a_kernel_in_a_real_scene(llvm, name):
+    check_no_map_compiles_a_kernel(scene_of_clip(name), 32, 32)
+
+
+def test_seeds_and_caps_of_other_clips_compile_no_kernel(llvm):
+    tracer = open_tracer(room(), H, W)
+    pixels = np.arange(50)
+    tracer.trace(pixels, pixels)
+    tracer.seed, tracer.radiance_cap = 12, 0.5
+    kernels, _ = launches(lambda: [tracer.trace(pixels, pixels, s) for s in STREAMS])
+    assert len(kernels) == len(STREAMS)
+    assert all(kernel["cache_hit"] for kernel in kernels)
+
+
+@pytest.fixture
+def folder(llvm, rendered_room, tmp_path, monkeypatch):
+    """A clip of the installed scene `room`."""
+    list_plugins, load_plugin = registry.list_plugins, registry.load_plugin
+    monkeypatch.setattr(
+        registry, "list_plugins", lambda g: ["room"] if g == "scenes" else list_plugins(g)
+    )
+    monkeypatch.setattr(
+        registry, "load_plugin", lambda g, n: room if g == "scenes" else load_plugin(g, n)
+    )
+    return shutil.copytree(rendered_room, tmp_path / "room")
+
+
+def test_a_clip_knows_its_scene(folder):
+    stored = open_clip(folder)
+    assert agree(images(open_live_clip(stored), 0.5), images(stored, 0.5))
+
+
+def test_the_benchmark_opens_live_and_stored_clips_under_different_content_keys(folder):
+    live, stored = open_source(folder, "live"), open_source(folder, "stored")
+    device = torch.device("cpu")
+    clips = [source.open(Follows().traits, 1.0, 3, device) for source in (live, stored)]
+    assert isinstance(clips[0], LiveClip)
+    assert agree(images(clips[0], 1.0), images(clips[1], 1.0))
+    assert live.content("path") != stored.content("path") == StoredSource(folder).content("path")
+
+
+def test_a_live_pool_holds_more_samples_than_are_stored_and_the_stored_ones_come_first(folder):
+    stored = open_clip(folder, seed=3)  # 4 samples per pixel
+    pools = [clip.frame(1).pool for clip in (stored, open_live_clip(stored, 16))]
+    few, many = (
+        pool.read(pool.empty(), torch.full((1, 1, H, W), count))
+        for pool, count in zip(pools, (4, 16), strict=True)
+    )
+    assert agree(many[0, :4], few[0])
+    assert len({image.numpy().tobytes() for image in many[0]}) == 16
+
+
+def test_more_samples_than_are_stored_are_measured_live(folder, tmp_path):
+    folders = {"clips": [folder], "pool": "live", "out": tmp_path / "r", "scores_only": True}
+    rows = rlbench.run(["mean"], spp=[4, 16], **folders)
+    mean = rows[rows["metric"] == "psnr"].groupby("target_spp")[["value", "mean_spp"]].mean()
+    assert mean["mean_spp"].to_dict() == {4.0: 4.0, 16.0: 16.0}
+    assert mean["value"][16.0] > mean["value"][4.0]
+
+
+def test_a_live_pool_leaves_room_for_a_density_that_varies(folder):
+    clip = open_source(folder, "live").open(Follows().traits, 6.0, 0, torch.device("cpu"))
+    counts = next(run_clip(Follows(), clip, 6.0)).samples.counts
+    assert int(counts.sum()) == 6 * H * W
+    assert int(counts.max()) > 6
+
+
+@pytest.mark.slow
+def test_the_command_measures_more_samples_live_than_a_preset_stores(llvm, tmp_path):
+    words = ("--preset", "tiny", "--scenes", "temple", "--spp", 16, "--out", tmp_path / "r")
+    output = run_command("run", "-m", "mean", "--pool", "live", "--scores-only", *words)
+    assert "1 cells measured" in output
+
+
+def test_a_scene_that_has_changed_is_an_error(folder):
+    mark = folder / "scene.txt"
+    mark.write_text(mark.read_text().replace(mark.read_text()[:16], "0123456789abcdef"))
+    with pytest.raises(ClipError, match="the clip has 0123456789abcdef.*--pool stored"):
+        open_source(folder, "live")
+
+
+def test_a_clip_of_another_renderer_is_an_error(tmp_path):
+    with pytest.raises(ClipError, match="did not write it. Use --pool stored"):
+        open_source(write_noise(tmp_path / "noise"), "live")
+
+
+def test_only_the_path_pool_can_be_live(tmp_path):
+    clip = open_clip(write_noise(tmp_path / "noise", pools=("path",)))
+    with pytest.raises(ClipError, match="pool 'restir' cannot be sampled live"):
+        open_live_clip(replace(clip, pool="restir"))
+
+
+def test_a_scene_that_is_not_installed_is_an_error(rendered_room):
+    assert read_header(rendered_room).name == "room"
+    with pytest.raises(LookupError, match="'room' is not a scene"):
+        open_source(rendered_room, "live")
+
+
+class CountingTracer:
+    """A tracer whose sample of a full frame costs 1, and any other sample 1.25."""
+
+    height, width = 2, 3
+
+    def __init__(self):
+        self.traced = []
+
+    def trace(self, pixels, samples, stream):
+        self.traced = list(zip(pixels.tolist(), samples.tolist(), strict=True))
+
+    def relative_cost(self, work, spp):
+        work()
+        return 1.25 * len(self.traced) / (spp * self.height * self.width)
+
+
+def test_the_factor_is_per_sample_and_of_the_methods_own_counts():
+    tracer = CountingTracer()
+    counts = torch.tensor([[2, 0, 1], [0, 0, 3]]).view(1, 1, 2, 3)
+    assert scatter_factor(tracer, counts) == pytest.approx(1.25)
+    assert tracer.traced == [(0, 0), (0, 1), (2, 0), (5, 0), (5, 1), (5, 2)]
+
+
+def test_counts_without_a_sample_have_no_factor():
+    with pytest.raises(ValueError, match="at least one sample"):
+        scatter_factor(CountingTracer(), torch.zeros(1, 1, 2, 3, dtype=torch.int64))
+
+
+def cell(folder, method):
+    plan = RunPlan((method,), (StoredSource(folder),), (2.0,))
+    (only,) = list_cells(plan)
+    return ScatterMeter(CellLoader(plan)), only
+
+
+def test_a_real_scene_has_a_factor_near_one(folder):
+    """384 pixels: fixed costs of a launch and other load leave no more than the order."""
+    meter, adaptive = cell(folder, "ours/by-rule")
+    assert meter.has_scene(adaptive)
+    measured = meter.measure(adaptive)
+    assert measured.note == ""
+    assert 0.1 < measured.factor < 10
+    counts = torch.from_numpy(np.full((1, 1, 16, 24), 1))
+    assert 0.2 < scatter_factor(open_wavefronts(folder), counts) < 5
+
+
+def test_a_clip_without_its_scene_charges_samples_of_a_full_frame_and_says_why(tmp_path):
+    meter, adaptive = cell(write_noise(tmp_path / "noise"), "ours/by-rule")
+    assert not meter.has_scene(adaptive)
+    measured = meter.measure(adaptive)
+    assert measured.factor == FULL_FRAME.factor == 1.0
+    assert measured.note.startswith("scattered samples cost as those of a full frame: ")
+    assert "`rlbench render` did not write it" in measured.note
