@@ -7,58 +7,7 @@ INSTALL := $(BIN)/python -m pip --disable-pip-version-check install -qq -c const
 RESULTS := results
 REPORT := $(RESULTS)/report
 
-# what rules give: memory and density by hand behind a learned denoiser, and `ours` with a density by rule
-RULES := accumulate,accumulate/contrast,accumulate/variance,accumulate/denoised-variance,accumulate/tuned,accumulate/fast,accumulate/intel,ours/by-rule
-CONTROLS := ours,ours/A2,ours/latent,ours/latent-stateless,ours/latent-by-rule,ours/latent-initial,oidn,oidn/filled,oidn-intel/filled,oidn/tuned,oidn/half,$(RULES)
-
-# the rows of the README's figure and table
-README := ours,ours/paper,accumulate/tuned,accumulate/fast,accumulate/contrast,oidn,nppd,svgf
-
-# the networks of the paper, developed, and their ablations
-LATENT := ours/latent,ours/latent-A1,ours/latent-A2,ours/latent-B1,ours/latent-B2,ours/latent-C,ours/latent-small,ours/latent-stateless,ours/latent-by-rule,ours/latent-flat,ours/latent-initial
-
-# the paper's recipe and its ablations
-PAPER := ours/paper,ours/paper-appo,ours/paper-A1,ours/paper-A2,ours/paper-flat,ours/paper-B1,ours/paper-B2,ours/paper-C
-
-# pairs of rows that differ in what the paper claims, by our recipe and by the paper's
-CLAIMED := ours,ours/A1,ours/A2,$(LATENT),$(PAPER)
-
-# the paper's Table 1, its ablations, and the methods they are compared with; at the paper's budgets
-TABLE1 := $(CLAIMED),ours/flat,imcd,imcd/history,ntas,ntas/history,nppd,nppd/history,dasr,restir+oidn,svgf,oidn,oidn/retrained,restir,mean,oidn/tuned,oidn-intel,$(RULES)
-BUDGETS := 0.01,0.1,0.3,0.5,1,2,4
-
-# published denoisers, with their own history and with that of ours
-PUBLISHED := imcd,imcd/history,ntas,ntas/history,nppd,nppd/history,svgf,bmfr,cross,oidn/retrained
-
-# rows of the page of unseen scenes: rules, learning and what both are compared with
-UNSEEN := $(CONTROLS),ours/A1,ours/latent-A2,oidn-intel,ours/paper,$(PUBLISHED)
-
-# the nearest rivals
-RIVALS := ours,ours/A1,ours/A2,ours/latent,ours/latent-A2,oidn/tuned,oidn-intel,accumulate/contrast,accumulate/tuned,ours/by-rule
-
-# rows on scenes by others, and those whose order is compared on every preset
-BY_OTHERS := mean,ours,ours/A1,ours/A2,ours/latent,ours/latent-A2,ours/latent-by-rule,ours/paper,oidn,oidn-intel,oidn/tuned,oidn/half,dasr,$(RULES),$(PUBLISHED)
-EIGHT := accumulate/tuned,ours/by-rule,ours/A2,ours,oidn,oidn/tuned,accumulate/contrast,nppd
-
-# rows of the page of takes
-TAKES := $(RIVALS),ours/lag,$(PUBLISHED)
-
-# rows with a memory, with and without a test of their history, and two without
-RECOVERING := ours,ours/lag,ours/latent,accumulate/contrast,accumulate/tuned,oidn/tuned,oidn-intel,imcd,imcd/history,ntas,ntas/history,nppd,nppd/history,svgf,bmfr
-
-# rows whose images of scenes by others are shown
-PAINTED := accumulate/contrast,oidn,ours,accumulate/tuned
-
-# rivals that need no training data, and rows beside them
-REGRESSIONS := bmfr,bmfr/filled,cross,cross/pilots,cross/contrast,svgf,oidn,ours
-FEW_UNSEEN := $(shell seq -s , -f 'generated-%g' 400 407)
-
-# learned rows near the front and two filters, in all backends
-SPEED := oidn-intel,oidn/tuned,accumulate/contrast,ours,ours/latent,ntas,svgf,bmfr
-
-# rows of the picture of the viewer
-VIEWED := mean,svgf,imcd,ntas,oidn,oidn/tuned,accumulate/contrast,ours,ours/latent
-
+include research/rows.mk
 
 BASELINE := rlbench/benchmark/regression/baselines/mini.json
 
@@ -77,9 +26,6 @@ endef
 
 # what the picture of the viewer shows
 SHOWN := view=flip&clip=0&frame=7&a=ours&b=mean&split=0.5&px=120&py=90
-
-# rows of the videos of each scene
-FILMED := mean,oidn,svgf,ntas,ours
 
 SPP := 1000
 
@@ -195,16 +141,16 @@ stress: .venv/dev.stamp
 
 # gradient estimators of the sampler against an exact gradient: 4 minutes of one core
 gradients: .venv/run.stamp
-	$(BIN)/python -m methods.ours.experiments.gradients.measure --out docs/results
-	$(BIN)/python -m reports.gradients docs/results
+	$(BIN)/python -m methods.ours.gradients.measure --out docs/results
+	$(BIN)/python -m research.reports.gradients docs/results
 
 # long trainings of every compared row, on processors that are free: days; resumes if it was killed
 campaign: .venv/run.stamp
-	$(BIN)/rlbench train --queue campaign.toml --out runs/campaign
+	$(BIN)/rlbench train --queue research/campaign.toml --out runs/campaign
 
 # validation of each row that ships against its training, from the model cards
 training: .venv/run.stamp
-	$(BIN)/python -m reports.training_curves docs/results
+	$(BIN)/python -m research.reports.training_curves docs/results
 
 # one frame of each scene; resumes if it was killed; make contact SPP=64 is quick
 contact: .venv/run.stamp

@@ -15,7 +15,9 @@ import pytest
 
 CHECKOUT = Path(__file__).parents[1]
 PACKAGES = ("rlbench", "baselines", "methods", "metrics", "reports")
-SOURCES = sorted(file for name in PACKAGES for file in (CHECKOUT / name).rglob("*.py"))
+SOURCES = sorted(
+    file for name in (*PACKAGES, "research") for file in (CHECKOUT / name).rglob("*.py")
+)
 PROJECT = tomllib.loads((CHECKOUT / "pyproject.toml").read_text())["project"]
 CLOCK = r"perf_counter|monotonic\(|time\.time\(|process_time|cuda\.Event\("
 MAX_LINES = 450  # of a module
@@ -24,8 +26,8 @@ TIMED = (  # what measures, what stops in time, and what writes down the cost of
     "rlbench/system/load.py",
     "rlbench/training/loop.py",
     "rlbench/parallel/executor.py",
-    "methods/ours/experiments/compare_learners.py",
-    "rlbench/training/profiler.py",
+    "methods/ours/gradients/compare_learners.py",
+    "research/profile_training.py",
     "rlbench/apps/render/mitsuba/tracer.py",
     "rlbench/apps/render/cycles/worker/worker.py",
 )

@@ -12,7 +12,6 @@ from typer.testing import CliRunner
 from rlbench.apps.render.jobs import render_clips
 from rlbench.benchmark import results
 from rlbench.cli.app import app
-from rlbench.training import lr_find
 from rlbench.weights import read_card
 from tests.procedural_folder import write_world
 
@@ -56,14 +55,6 @@ def test_the_example_trains_and_its_weights_beat_the_mean(plugin, worlds, tmp_pa
     rows = results.read(tmp_path / "r")
     psnr = rows[rows["metric"] == "psnr"].groupby("method")["value"].mean()
     assert psnr["blur"] > psnr["mean"] + 1  # dB; the clip validates, so it was not trained on
-
-
-@pytest.mark.slow
-def test_one_script_runs_a_learning_rate_range_test(plugin, worlds, tmp_path):
-    words = ["blur", "--plugin", str(plugin), "--frames", "30", "--crop", "32"]
-    assert "proposed" in lr_find.main([*words, "--out", str(tmp_path / "runs")])
-    files = {file.name for file in (tmp_path / "runs" / "blur-range").iterdir()}
-    assert files == {"range.csv", "range.png"}
 
 
 @pytest.mark.slow

@@ -194,8 +194,8 @@ def train(
       rlbench train -m ntas --holdout hall --preset standard
       rlbench train -m ours/paper --start ours/paper-A2 --frames 20000
       rlbench train -m ours --start ours --anchor 30 --frames 30000
-      rlbench train --queue campaign.toml --out runs/campaign
-      rlbench train --queue campaign.toml --out runs/campaign --status
+      rlbench train --queue research/campaign.toml --out runs/campaign
+      rlbench train --queue research/campaign.toml --out runs/campaign --status
     """
     from rlbench.cli import train_queue
 

@@ -1,9 +1,8 @@
 """Training of learned methods: the same loop, clips and schedule for every method.
 
 A learned method provides a `TrainingTask` (see `rlbench.training.task` for a guide with an
-example). `train` trains the method and writes its weights, and `find_learning_rate` runs a
-learning-rate range test. The names below are imported on first use, so that importing this package
-does not import torch.
+example). `train` trains the method and writes its weights. The names below are imported on first
+use, so that importing this package does not import torch.
 """
 
 from __future__ import annotations
@@ -12,7 +11,6 @@ from typing import TYPE_CHECKING
 
 __all__ = [
     "BUDGETS_FROM_1_SPP",
-    "LrRangeResult",
     "Progress",
     "SampleGradient",
     "SurrogateGradient",
@@ -20,7 +18,6 @@ __all__ = [
     "TrainingError",
     "TrainingResult",
     "TrainingTask",
-    "find_learning_rate",
     "kuznetsov_gradient",
     "relaxed_counts",
     "train",
@@ -29,7 +26,6 @@ __all__ = [
 if TYPE_CHECKING:
     from rlbench.training.checkpoint import Progress
     from rlbench.training.loop import TrainingResult, train
-    from rlbench.training.lr_find import LrRangeResult, find_learning_rate
     from rlbench.training.surrogate_gradient import (
         SampleGradient,
         SurrogateGradient,
@@ -50,7 +46,6 @@ else:
         submod_attrs={
             "checkpoint": ["Progress"],
             "loop": ["TrainingResult", "train"],
-            "lr_find": ["LrRangeResult", "find_learning_rate"],
             "surrogate_gradient": [
                 "SampleGradient",
                 "SurrogateGradient",

@@ -5,7 +5,6 @@ from __future__ import annotations
 import pytest
 import torch
 
-from baselines.oidn import tuning_search
 from baselines.oidn.method import Oidn, build, to_radiance
 from baselines.oidn.train import _frame_loss, training_task
 from rlbench.clips.in_memory import InMemoryClip
@@ -126,19 +125,3 @@ def test_tuning_starts_from_intels_weights():
     theirs, ours = load_network().state_dict(), training_task("tuned", CPU, 0).networks.state_dict()
     assert all(torch.equal(ours[name], theirs[name]) for name in theirs)
     assert training_task("tuned", CPU, 0).max_lr < training_task("retrained", CPU, 0).max_lr
-
-
-def test_the_loss_and_rate_of_the_shipped_row_are_one_point_of_the_search():
-    shipped, searched = (
-        training_task("tuned", CPU, 0),
-        tuning_search.training_task("pu-4e-5", CPU, 0),
-    )
-    assert searched.max_lr == shipped.max_lr
-    assert next(searched.losses(clip(64, 64), 1.0)) == next(shipped.losses(clip(64, 64), 1.0))
-
-
-@pytest.mark.parametrize("variant", tuning_search.FAMILY.variants)
-def test_every_point_has_the_rate_that_its_name_gives(variant):
-    task = tuning_search.training_task(variant, CPU, 0)
-    assert task.max_lr == float(variant.partition("-")[2])
-    assert torch.isfinite(next(task.losses(clip(64, 64), 1.0)))

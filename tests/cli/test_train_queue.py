@@ -2,16 +2,13 @@
 
 from __future__ import annotations
 
-import re
-import tomllib
 from pathlib import Path
 
 import pytest
 
-from rlbench import registry
 from rlbench.training import queue
 from rlbench.training.queue import Queue
-from tests.cli.runner import CHECKOUT, rlbench
+from tests.cli.runner import rlbench
 
 
 @pytest.fixture
@@ -93,21 +90,6 @@ def test_options_of_a_queue_need_one(option):
 def test_options_of_one_training_are_refused_with_a_queue(tmp_path, words):
     file = write(tmp_path, *ROW)
     assert "has no effect with --queue" in rlbench("train", "--queue", file, *words, code=2)
-
-
-def test_the_status_lists_the_trainings_and_starts_nothing(tmp_path):
-    words = ("train", "--queue", CHECKOUT / "campaign.toml", "--out", tmp_path / "r", "--status")
-    output = rlbench(*words)
-    assert "ours/paper-C waiting for ours/paper-A2 0 of 20000" in output
-    assert re.search(r"\d+ waiting$", output)
-    assert not (tmp_path / "r").exists()
-
-
-def test_the_campaign_anchors_the_rows_that_start_from_weights_of_others():
-    rows = tomllib.loads((CHECKOUT / "campaign.toml").read_text())["training"]
-    started = {row["method"]: registry.training_task(row["method"]).pretrained for row in rows}
-    anchored = {row["method"] for row in rows if "anchor" in row}
-    assert anchored == {name for name, pretrained in started.items() if pretrained}
 
 
 def test_a_failed_training_gives_exit_code_1_and_its_error(tmp_path, monkeypatch):

@@ -12,15 +12,15 @@ import pytest
 import torch
 from torch import Tensor
 
-from methods.ours.experiments.gradients import section
-from methods.ours.experiments.gradients.estimators import (
+from methods.ours.gradients import section
+from methods.ours.gradients.estimators import (
     ESTIMATORS,
     Estimator,
     GradientStatistics,
     ScoreFunction,
     measure,
 )
-from methods.ours.experiments.gradients.exact_gradient import (
+from methods.ours.gradients.exact_gradient import (
     BUDGETS,
     DENOISERS,
     TileAction,
@@ -32,13 +32,13 @@ from methods.ours.experiments.gradients.exact_gradient import (
     round_systematically,
     true_gradient,
 )
-from methods.ours.experiments.gradients.measure import (
+from methods.ours.gradients.measure import (
     adam_step,
     clipped_shares,
     gradient_row,
     write_tables,
 )
-from methods.ours.experiments.toy_problem import Direct, ToyProblem
+from methods.ours.gradients.toy_problem import Direct, ToyProblem
 from methods.ours.policy import SamplerLearner
 from methods.ours.policy.appo import AppoSettings
 from methods.ours.policy.joint_appo import joint_ratio, pixel_ratios
@@ -420,8 +420,8 @@ def test_the_joint_ratio_leaves_the_clip_range_where_pixel_ratios_stay():
 @pytest.mark.slow  # torch.optim is slow to import
 def test_the_step_is_that_of_adam():
     """torch.optim.Adam on the same gradient moves the mean action by the same amount."""
-    from methods.ours.experiments.compare_learners import initial_sampler
-    from methods.ours.experiments.toy_problem import toy_frames
+    from methods.ours.gradients.compare_learners import initial_sampler
+    from methods.ours.gradients.toy_problem import toy_frames
     from methods.ours.policy import BlockPolicyGradient, BlockReinforce
 
     sampler = initial_sampler(0)

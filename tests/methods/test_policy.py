@@ -13,9 +13,9 @@ import torch
 from torch import Tensor, nn
 from torch.nn import functional as F
 
-from methods.ours.experiments import compare_learners
-from methods.ours.experiments.toy_evaluation import TABLE, Evaluation, ToyEnv
-from methods.ours.experiments.toy_problem import (
+from methods.ours.gradients import compare_learners
+from methods.ours.gradients.toy_evaluation import TABLE, Evaluation, ToyEnv
+from methods.ours.gradients.toy_problem import (
     CHANNELS,
     EPISODE_FRAMES,
     MODES,

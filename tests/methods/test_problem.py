@@ -4,14 +4,12 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from functools import cache
-from pathlib import Path
 
 import pytest
 import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from methods.ours.experiments.retrain_sampler import SamplerTask
 from methods.ours.method import Ours
 from methods.ours.policy import LEARNERS, gamma_gradient_per_sample, make_learner
 from methods.ours.policy.sample_gradients import kuznetsov_gradient_per_sample
@@ -24,7 +22,6 @@ from rlbench.ops.reprojection import reproject
 from rlbench.ops.transfer import log_forward
 from rlbench.run import FrameResult, unroll
 from rlbench.wrappers import MethodWrapper
-from tests.conftest import write_noise
 
 CPU = torch.device("cpu")
 SIZE = Size(1, 32, 48)
@@ -223,38 +220,3 @@ def test_a_later_gain_is_credited_to_the_samples_that_led_to_it(episode):
     later = problem.rollout(both).errors - now
     assert later.min() >= 0
     assert (later[0] - later[1]).abs().max() > 1e-3
-
-
-@pytest.fixture
-def task(tmp_path: Path) -> SamplerTask:
-    folders = [write_noise(tmp_path / name, h=40, w=48, frames=3) for name in ("one", "two")]
-    return SamplerTask(tuple(folders), crop=SIDE, length=3, seed=1)
-
-
-def test_an_episode_of_mean_actions_is_the_page(task):
-    env = task.make_env()
-    generator = torch.Generator().manual_seed(0)
-    torch.nn.init.normal_(env.method.networks.sampler.last.weight, std=0.3, generator=generator)
-    env.reset()
-    spp, clip = env.problem.spp, env.batches.sequence(0)
-    errors, truncated = [], False
-    while not truncated:
-        result = env.step(env.problem.act().detach())
-        assert int(result.counts.sum()) == round(spp * SIDE**2)
-        errors.append(result.errors)
-        truncated = result.truncated
-    with torch.no_grad():
-        frames = list(unroll(env.method, clip, spp))
-    assert len(frames) == len(errors) == 3
-    for frame, error in zip(frames, errors, strict=True):
-        assert torch.equal(error, pixel_errors(frame))
-
-
-def test_episodes_follow_each_other_without_end(task):
-    env = task.make_env()
-    budgets = set()
-    for _ in range(6):
-        assert env.reset().shape == (1, *env.shape)
-        budgets.add(env.problem.spp)
-        assert env.problem.frame.index in (0, 1, 2)
-    assert len(budgets) > 1

@@ -10,8 +10,8 @@ import pytest
 import torch
 from torch import Tensor
 
-from methods.ours.experiments.gradients.estimators import ESTIMATORS, Estimator
-from methods.ours.experiments.toy_problem import (
+from methods.ours.gradients.estimators import ESTIMATORS, Estimator
+from methods.ours.gradients.toy_problem import (
     Direct,
     Filter,
     FixedFilter,

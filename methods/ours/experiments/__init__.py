@@ -1,1 +1,0 @@
-"""Experiments around the proposed method. Each is a command: python -m MODULE --help."""

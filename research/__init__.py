@@ -1,0 +1,1 @@
+"""Experiments behind the ledger (docs/development.md); run from a clone, not installed."""
