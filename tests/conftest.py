@@ -14,6 +14,7 @@ from rlbench import registry
 from rlbench.apps.render.mitsuba.variant import wheel_files
 from rlbench.clips.frame_files import write_frame
 from rlbench.clips.header import Header, write_header
+from rlbench.registry.apps import load_apps
 from rlbench.system import paths
 
 # Dr.Jit loads LLVM on its first import, which may be a test's own: not an older one of the system
@@ -25,6 +26,13 @@ def pytest_collection_finish() -> None:
     """Modules and tests live to the end: no garbage collection walks through them again."""
     gc.collect()
     gc.freeze()
+
+
+def pytest_runtest_setup(item: pytest.Item) -> None:
+    """Skip what runs a command of an app that is not installed."""
+    for mark in item.iter_markers("app"):
+        if mark.args[0] not in load_apps():
+            pytest.skip(f"the app {mark.args[0]} is not installed")
 
 
 @pytest.fixture(autouse=True)

@@ -267,7 +267,7 @@ def select_clips(
     """
     selected, limit_frames = _as_list(scenes), check_limit(limit_frames)
     if pool not in (pools := list_pools()):
-        raise OptionError(unknown_name(f"--pool {pool}: no such pool", pool, pools))
+        raise OptionError(unknown_name(f"no pool '{pool}'", pool, pools))
     if clips is None:
         folders = render_preset_clips(
             selected,

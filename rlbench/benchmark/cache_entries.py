@@ -56,9 +56,9 @@ def find_entries(cache: Path) -> list[CacheEntry]:
     entries += [group_files("decoded frames", each, each.rglob("*.npy")) for each in decoded]
     stamps = cache / "decoded" / "stamps"
     entries += [group_files("file hashes", stamps, stamps.glob("*.json"))]
-    entries += [group_files("sample times", cache, _files(cache, ("sample_ms.json",)))]
     for find_more in apps.load_parts("cache_entries"):
         entries += find_more(cache)
+    entries += [group_files("sample times", cache, _files(cache, ("sample_ms.json",)))]
     return [entry for entry in entries if entry.files]
 
 

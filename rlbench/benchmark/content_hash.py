@@ -16,6 +16,7 @@ from rlbench.benchmark import cost
 from rlbench.benchmark.cell_key import CellId
 from rlbench.benchmark.results import HELD_OUT_PREFIX
 from rlbench.benchmark.run_plan import Cell, RunPlan, list_cells, weights_file
+from rlbench.benchmark.sample_clock import clock_modules
 from rlbench.clips.header import ClipError, Header
 from rlbench.system import code_hash, provenance
 
@@ -49,7 +50,12 @@ class CellIds:
             *((self._backend,) if cell.backend != EAGER else ()),
             *((self._code(*wrappers, "rlbench.ops.tiles"),) if cell.skip_tiles else ()),
         )
-        times = (self._cost, plan.repeats, self._charged(cell), self._code(*TIMING))
+        times = (
+            self._cost,
+            plan.repeats,
+            self._charged(cell),
+            self._code(*TIMING, *clock_modules()),
+        )
         return CellId(cell.key, _short_hash(content), _short_hash(times))
 
     @cached_property

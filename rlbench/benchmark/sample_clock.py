@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Protocol
-
-from jaxtyping import Int
-from torch import Tensor
+from typing import TYPE_CHECKING, Protocol
 
 from rlbench.errors import RlbenchError
 from rlbench.registry import apps
+
+if TYPE_CHECKING:
+    from jaxtyping import Int
+    from torch import Tensor
 
 
 class NoClockError(RlbenchError, LookupError):
@@ -18,6 +19,8 @@ class NoClockError(RlbenchError, LookupError):
 
 class SampleClock(Protocol):
     """Times samples by a path tracer; `App.clock` names what makes one, without arguments."""
+
+    MODULES: tuple[str, ...]  # whose code decides the times
 
     def describe(self) -> str:
         """The tracer and its threads, on which its times depend."""
@@ -42,6 +45,11 @@ class SampleClock(Protocol):
 
         Raises an error as `check_scene`, and where no pixel has a sample.
         """
+
+
+def clock_modules() -> tuple[str, ...]:
+    """The modules whose code decides the times of the clock of this machine; empty without one."""
+    return next((maker.MODULES for maker in apps.load_parts("clock")), ())
 
 
 def open_clock() -> SampleClock:

@@ -51,8 +51,12 @@ def run(
     ] = False,
     takes: options.Takes = None,
     pool: Annotated[
-        Literal["stored", "live"],
-        option(MEASUREMENT, "stored samples of the clip, or live ones, traced when they are drawn"),
+        str,
+        option(
+            MEASUREMENT,
+            "stored: samples of the clip; live: traced when they are drawn",
+            value="POOL",
+        ),
     ] = "stored",
     seed: Annotated[
         Seeds,

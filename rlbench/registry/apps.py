@@ -49,7 +49,7 @@ class App:
 def load_apps() -> dict[str, App]:
     """The records of all installed apps by name. Raises PluginError where one cannot be imported.
 
-    >>> "view" in load_apps()["view"].commands
+    >>> "render" in load_apps()["render"].commands
     True
     """
     return {name: load_or_explain(GROUP, name) for name in list_entries(GROUP)}

@@ -7,7 +7,7 @@ import shutil
 import pytest
 
 from rlbench import registry
-from rlbench.apps.render.mitsuba import open_tracer
+from rlbench.apps.render import clock
 from rlbench.benchmark import latency
 from rlbench.benchmark.cell_key import CellId
 from rlbench.benchmark.content_hash import CellIds
@@ -113,7 +113,7 @@ def test_samples_that_are_traced_here_are_timed_again_by_another_tracer_or_scene
     ids = []
     for threads in (1, 2, 2):
         tracer = f"llvm_ad_rgb, {threads} threads"
-        monkeypatch.setattr(open_tracer, "describe_tracer", lambda tracer=tracer: tracer)
+        monkeypatch.setattr(clock, "describe_tracer", lambda tracer=tracer: tracer)
         ids += cell_ids(plan)
     change_code(monkeypatch, registry.list_entries("scenes")["temple"].target.partition(":")[0])
     ids += cell_ids(plan)
@@ -129,8 +129,8 @@ def test_a_machine_without_a_tracer_has_an_identity_of_its_times(tmp_path, monke
         raise ImportError("no tracer")
 
     plan = run_plan(write_noise(tmp_path / "noise", scene="temple"))
-    monkeypatch.setattr(open_tracer, "describe_tracer", lambda: "llvm_ad_rgb, 2 threads")
+    monkeypatch.setattr(clock, "describe_tracer", lambda: "llvm_ad_rgb, 2 threads")
     (traced,) = cell_ids(plan)
-    monkeypatch.setattr(open_tracer, "describe_tracer", fail)
+    monkeypatch.setattr(clock, "describe_tracer", fail)
     (untraced,) = cell_ids(plan)
     assert untraced.times_hash not in ("", traced.times_hash)

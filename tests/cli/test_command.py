@@ -30,9 +30,8 @@ def commands_with_methods() -> list[str]:
 
 
 def test_bare_words_are_methods_where_a_command_has_no_argument():
-    expected = {"check", "compare", "crossval", "decide", "images"}
-    expected |= {"regress", "run", "speed", "stress", "train"}
-    assert set(commands_with_methods()) == expected
+    expected = {"check", "compare", "crossval", "decide", "regress", "run", "speed", "stress"}
+    assert {*expected, "train"} == set(commands_with_methods()) - {"images"}
 
 
 @pytest.mark.parametrize("command", commands_with_methods())
@@ -164,6 +163,7 @@ def test_a_disk_that_fills_up_stops_a_run_and_keeps_what_it_wrote(run_mean, smal
     assert 0 < len(table.cells(small_disk / "r")) < 8
 
 
+@pytest.mark.app("view")
 @pytest.mark.parametrize("command", ["video", "images"])
 def test_a_disk_that_fills_up_is_one_line_in_commands_that_draw(
     run_mean, small_disk, clip_folder, tmp_path, command
@@ -192,7 +192,7 @@ def test_a_full_disk_is_found_before_the_run(run_mean, small_disk, monkeypatch):
 
 OUT = [  # commands that write, up to the option for the folder
     ("run", "mean", "--clips", "CLIP"),
-    ("images", "mean", "--clips", "CLIP"),
+    pytest.param(("images", "mean", "--clips", "CLIP"), marks=pytest.mark.app("view")),
     ("speed", "mean"),
     ("stress", "mean"),
     ("train", "oidn/tuned"),
@@ -214,7 +214,7 @@ def test_an_output_folder_below_a_file_is_found_at_once(words, clip_folder, tmp_
     ("words", "answer"),
     [
         (("list", "metheds"), "'presets', 'profiles'. Did you mean 'methods'?"),
-        (("run", "mean", "--pool", "lives"), "'lives' is not one of 'stored', 'live'. Did you"),
+        (("run", "mean", "--takes", "mains"), "'mains' is not one of 'main', 'all'. Did you"),
     ],
 )
 def test_a_value_that_is_no_choice_is_answered_with_the_nearest(words, answer):
@@ -227,7 +227,7 @@ def test_a_value_that_is_no_choice_is_answered_with_the_nearest(words, answer):
     "words",
     [
         ("new", "fresh"),
-        ("video", "RESULTS"),
+        pytest.param(("video", "RESULTS"), marks=pytest.mark.app("view")),
     ],
     ids=lambda words: words[0],
 )
@@ -242,6 +242,8 @@ def test_a_folder_that_takes_no_file_is_found_by_the_commands_that_publish(
     assert output.startswith(f"error: nothing can be written to {tmp_path}/file")
 
 
+@pytest.mark.app("view")
+@pytest.mark.app("dumps")
 def test_an_interrupted_command_that_begins_again_says_so():
     assert "videos are kept. The same command begins again" in what_is_kept("video", {})
     assert "frames are kept in m. The same command continues" in what_is_kept(

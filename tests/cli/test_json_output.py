@@ -50,19 +50,28 @@ def test_a_run_with_images_that_are_not_finite_names_them(clip_folder, tmp_path)
     assert not found["passed"]
 
 
-def test_check_and_lint_list_each_check_with_its_verdict(tmp_path, clip_folder):
-    plugin = write_plugin(tmp_path / "bad.py", "bad", body="return samples.mean * 0 / 0, None")
-    for words, name in (
-        (("check", "bad", "--plugin", plugin), "bad"),
-        (("lint", clip_folder), "noise: 24 x 20 pixels, 3 frames"),
-    ):
-        found = document(*words, code=1)
-        assert found.keys() == keys(json_output.ChecksOutput)
-        (checked,) = found["checked"]
-        assert checked["name"] == name
-        failed = [check for check in checked["checks"] if check["verdict"] == "failed"]
-        assert failed
-        assert all(check["remedy"] for check in failed)
+@pytest.mark.parametrize(
+    ("words", "name"),
+    [
+        (("check", "bad", "--plugin", "bad.py"), "bad"),
+        pytest.param(
+            ("lint", "clips/noise"),
+            "noise: 24 x 20 pixels, 3 frames",
+            marks=pytest.mark.app("dumps"),
+        ),
+    ],
+)
+@pytest.mark.usefixtures("clip_folder")
+def test_each_check_is_listed_with_its_verdict(tmp_path, monkeypatch, words, name):
+    monkeypatch.chdir(tmp_path)
+    write_plugin(tmp_path / "bad.py", "bad", body="return samples.mean * 0 / 0, None")
+    found = document(*words, code=1)
+    assert found.keys() == keys(json_output.ChecksOutput)
+    (checked,) = found["checked"]
+    assert checked["name"] == name
+    failed = [check for check in checked["checks"] if check["verdict"] == "failed"]
+    assert failed
+    assert all(check["remedy"] for check in failed)
 
 
 def test_report_lists_files_and_what_it_could_not_write(run_mean, tmp_path):

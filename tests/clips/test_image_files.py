@@ -9,7 +9,7 @@ import numpy as np
 import OpenEXR
 import pytest
 
-from rlbench.apps.dumps.importers import limits
+from rlbench.clips import image_files
 from rlbench.clips.image_files import Channels, list_channels, read_exr, read_exr_image
 from rlbench.errors import SourceError
 
@@ -96,7 +96,7 @@ def test_data_outside_the_display_window_are_an_error(tmp_path, data):
 
 def test_a_huge_display_window_is_refused_before_it_is_filled(tmp_path):
     path = write_windows(tmp_path / "w.exr", (0, 0, 3, 3), (0, 0, 2**20, 2**20))
-    with pytest.raises(SourceError, match=f"from 1 to {limits.MAX_IMAGE_PIXELS} are read"):
+    with pytest.raises(SourceError, match=f"from 1 to {image_files.MAX_IMAGE_PIXELS} are read"):
         read_exr(path, RGB)
 
 

@@ -82,7 +82,7 @@ def test_the_refusal_says_what_was_found_and_what_to_do(use_processor):
         require_native_bf16("cpu")
 
 
-@pytest.mark.parametrize("command", ["run", "images"])
+@pytest.mark.parametrize("command", ["run", pytest.param("images", marks=pytest.mark.app("view"))])
 def test_emulated_bfloat16_is_refused_before_anything_is_rendered(
     command, use_processor, clip_folder, tmp_path
 ):

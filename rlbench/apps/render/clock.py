@@ -19,6 +19,8 @@ from rlbench.system import code_hash
 class TracerClock:
     """A `rlbench.benchmark.sample_clock.SampleClock`; one scene is open at a time."""
 
+    MODULES = ("rlbench.apps.render.jobs.live_pool", "rlbench.apps.render.mitsuba.tracer")
+
     def __init__(self) -> None:
         """Open no scene yet."""
         self._open: tuple[Path, Tracer] | None = None

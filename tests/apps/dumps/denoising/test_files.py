@@ -406,7 +406,7 @@ def test_an_animation_by_blender_is_denoised(tmp_path):
 
     if not process.bpy_version():
         pytest.skip(process.INSTALL_HINT)
-    script = Path(__file__).parents[3] / "render" / "cycles" / "write_dump.py"
+    script = Path(__file__).parents[2] / "render" / "cycles" / "write_dump.py"
     command = [process.interpreter(), str(script), str(tmp_path / "dump")]
     subprocess.run(command, check=True, capture_output=True)
     (summary,) = run(tmp_path / "dump" / "geometry", tmp_path / "out")

@@ -135,7 +135,7 @@ def test_a_killed_rendering_resumes_to_the_same_pixels(cycles, files, tmp_path):
     )
     with log.open("wb") as stderr:
         rendering = subprocess.Popen(
-            [sys.executable, "-c", code, str(files), str(out)], stderr=stderr, cwd=HERE.parents[2]
+            [sys.executable, "-c", code, str(files), str(out)], stderr=stderr, cwd=HERE.parents[3]
         )
         while rendering.poll() is None and not list(out.glob(".cycles/path.*.3.exr")):
             pass

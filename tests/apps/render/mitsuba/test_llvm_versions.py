@@ -39,7 +39,7 @@ def trace(library: Path, folder: Path) -> dict[str, np.ndarray]:
         "DRJIT_LIBLLVM_PATH": str(library),
         "RLBENCH_CACHE": str(folder / library.name),  # compiled kernels too
         "RLBENCH_VARIANT": "llvm_ad_rgb",
-        "PYTHONPATH": str(Path(__file__).parents[3]),
+        "PYTHONPATH": str(Path(__file__).parents[4]),
     }
     command = [sys.executable, "-c", TRACE, str(file), *SCENES]
     subprocess.run(command, env={**os.environ, **variables}, check=True, timeout=600)

@@ -189,7 +189,7 @@ def test_some_lamp_or_sky_shines(scene):
 
 
 def test_every_scene_is_registered(scene):
-    project = tomllib.loads((Path(__file__).parents[2] / "pyproject.toml").read_text())
+    project = tomllib.loads((Path(__file__).parents[4] / "pyproject.toml").read_text())
     points = project["project"]["entry-points"]["rlbench.scenes"]
     assert points[scene.name] == f"rlbench.apps.render.scenes.{scene.name}.scene:scene"
 

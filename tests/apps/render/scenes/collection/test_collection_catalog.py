@@ -188,7 +188,7 @@ def test_the_credit_names_title_author_licence_and_commit():
 
 
 def test_catalog_and_pins_are_package_data():
-    text = (Path(__file__).parents[3] / "pyproject.toml").read_text()
+    text = (Path(__file__).parents[5] / "pyproject.toml").read_text()
     data = tomllib.loads(text)["tool"]["setuptools"]["package-data"]
     assert "*.toml" in data["*"]
     assert "pins/*.tsv" in data["rlbench.apps.render.scenes.collection"]

@@ -15,10 +15,10 @@ from skimage.metrics import peak_signal_noise_ratio, structural_similarity
 import rlbench
 from rlbench import metrics, registry
 from rlbench.clips.exr import write_exr
+from tests.apps.dumps.test_primaries import ACESCG, REC709
+from tests.apps.dumps.test_primaries import image as colours
+from tests.apps.dumps.test_primaries import write as write_primaries
 from tests.cli.runner import rlbench as run_command
-from tests.clips.test_primaries import ACESCG, REC709
-from tests.clips.test_primaries import image as colours
-from tests.clips.test_primaries import write as write_primaries
 from tests.conftest import write_noise
 
 H, W = 180, 200
