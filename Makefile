@@ -1,4 +1,4 @@
-# make demo: from a fresh clone to a Pareto plot.  make test: every check.  Both create .venv themselves.
+# make demo: from a fresh clone to a Pareto plot.  make test test-apps: every check.  Both create .venv themselves.
 
 PYTHON ?= python3
 BIN := .venv/bin
@@ -29,7 +29,7 @@ SHOWN := view=flip&clip=0&frame=7&a=ours&b=mean&split=0.5&px=120&py=90
 
 SPP := 1000
 
-.PHONY: demo docs tables baseline table1 viewer unseen speed metric-speed overhead takes regressions real recovery gradients stress training campaign contact teaser switched videos site test test-all format clean
+.PHONY: demo docs tables baseline table1 viewer unseen speed metric-speed overhead takes regressions real recovery gradients stress training campaign contact teaser switched videos site test test-apps test-all format clean
 
 demo: .venv/run.stamp
 	$(BIN)/rlbench run --preset mini --keep-images --out $(RESULTS)
@@ -179,15 +179,24 @@ site: export RLBENCH_SITE_RESULTS = $(SITE_RESULTS)
 site: .venv/docs.stamp
 	$(BIN)/mkdocs build
 
+RUN_TESTS = $(BIN)/python -m pytest -n 2 --dist loadfile --no-loadscope-reorder
+APP_TESTS := tests/apps tests/research
+
+# style, types, layers, and the tests of the benchmark and the zoo
 test: .venv/dev.stamp
 	$(BIN)/ruff format --check .
 	$(BIN)/ruff check .
 	$(BIN)/mypy
 	$(BIN)/lint-imports
-	$(BIN)/python -m pytest -n 2 --dist loadfile --no-loadscope-reorder $(PYTEST)
+	$(RUN_TESTS) tests $(addprefix --ignore=,$(APP_TESTS))
 
-test-all: PYTEST = -m "not gpu"
-test-all: test
+# of rendering, dumps, viewer and cluster, and of the experiments
+test-apps: .venv/dev.stamp
+	$(RUN_TESTS) $(APP_TESTS)
+
+# both, and what takes longer than a few seconds
+test-all: RUN_TESTS += -m "not gpu"
+test-all: test test-apps
 
 format: .venv/dev.stamp
 	$(BIN)/ruff format .

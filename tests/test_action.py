@@ -145,7 +145,6 @@ def test_the_steps_pass_and_fail_as_the_method_does(job):
     assert "| WORSE | toy | foyer | 1 |" in job.summary.read_text()
 
 
-@pytest.mark.slow
 def test_the_hash_of_a_preset_is_a_key_of_its_cache(job):
     assert job.run("Hash of the preset").returncode == 0
     first = job.output.read_text()
