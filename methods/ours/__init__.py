@@ -13,10 +13,9 @@ from rlbench.ops.unet_widths import BASE_WIDTHS, FAST_WIDTHS, UNetWidths
 
 __all__ = ["FAMILY", "LATENT", "OURS", "SLOTS", "TRAITS", "VARIANTS", "Config"]
 
-DOUBLE_WIDTHS = UNetWidths(64, 96, 128, 160, 192, (224, 224), (192, 192), (128, 128), (128, 64))
 SLOTS = 8  # samples per pixel that the encoder can read one by one
 
-EncodingName = Literal["single", "mean", "mean and count", "none"]
+EncodingName = Literal["single", "mean", "none"]
 HistoryMode = Literal["state", "samples", "nothing"]
 Accumulation = Literal["temporal", "rule", "frame", "none"]
 LossName = Literal["l1_ms_ssim", "display"]
@@ -121,11 +120,6 @@ def _paper(question: str, traits: Traits = TRAITS, **changes: Any) -> tuple[Conf
     return _row(f"In the paper's recipe, {question}", PAPER, traits, **changes)
 
 
-def _appendix(question: str, **changes: Any) -> tuple[Config, Variant]:
-    """A row of `ours/latent` without shipped weights: `rlbench train` makes them."""
-    return _row(question, LATENT, pretrained=False, **changes)
-
-
 NO_MEMORY: dict[str, Any] = {"encoder": (), "history_mode": "nothing"}
 LAST_SAMPLES: dict[str, Any] = {"encoder": (), "history_mode": "samples"}
 ROWS = {
@@ -180,12 +174,6 @@ ROWS = {
         UNIFORM,
         sampler=(),
     ),
-    "latent-reinforce": _appendix(
-        "Is REINFORCE enough, without the surrogate gradient?", learner="reinforce"
-    ),
-    "latent-stochastic": _appendix(
-        "Is the gradient through stochastic rounding as good?", learner="stochastic"
-    ),
     "latent-B1": _row(
         "Does the state pay? (history for the sampler only: the last samples)",
         LATENT,
@@ -201,10 +189,6 @@ ROWS = {
     ),
     "latent-C": _row(
         "Do individual samples pay? (their mean enters the encoder)", LATENT, sample_encoding="mean"
-    ),
-    "latent-C+count": _appendix(
-        "Is it the samples, or their number? (their mean and count)",
-        sample_encoding="mean and count",
     ),
     "latent-small": _row(
         "Are smaller networks enough? (all three)",
@@ -242,20 +226,6 @@ ROWS = {
         LATENT,
         weights_from="ours/latent",
         antilag=False,
-    ),
-    "latent-sampler-small": _appendix("Is a sampler of one level enough?", sampler=(1, 2)),
-    "latent-sampler-large": _appendix(
-        "Does a sampler of the size of the first U-Net pay?", sampler=(64, 128, 256, 512, 1024)
-    ),
-    "latent-encoder-small": _appendix(
-        "Does the encoder need neighbouring pixels? (1x1 kernels)", encoder_kernel=1
-    ),
-    "latent-encoder-large": _appendix(
-        "Do two more layers in the encoder pay?", encoder=(64, 64, 64)
-    ),
-    "latent-denoiser-small": _appendix("Is OIDN's fast network enough?", denoiser=FAST_WIDTHS),
-    "latent-denoiser-large": _appendix(
-        "Does a denoiser of twice the width pay?", denoiser=DOUBLE_WIDTHS
     ),
     "paper": _row("What does the paper's own recipe reach, from random weights?", PAPER),
     "paper-appo": _row(

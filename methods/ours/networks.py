@@ -45,11 +45,6 @@ def encode_mean(samples: Samples) -> Float[Tensor, "n 3 h w"]:
     return log_forward(samples.mean).where(samples.counts > 0, MISSING)
 
 
-def encode_mean_and_count(samples: Samples) -> Float[Tensor, "n 4 h w"]:
-    """The mean, then the count as a share of SLOTS."""
-    return torch.cat((encode_mean(samples), samples.counts / SLOTS), dim=1)
-
-
 def encode_nothing(samples: Samples) -> Float[Tensor, "n 0 h w"]:
     """A tensor of zero channels, for variants without an encoder."""
     n, _, _, h, w = samples.radiance.shape
@@ -59,7 +54,6 @@ def encode_nothing(samples: Samples) -> Float[Tensor, "n 0 h w"]:
 SAMPLE_ENCODINGS: Mapping[str, SampleEncoding] = {
     "single": SampleEncoding(3 * SLOTS, encode_single),
     "mean": SampleEncoding(3, encode_mean),
-    "mean and count": SampleEncoding(4, encode_mean_and_count),
     "none": SampleEncoding(0, encode_nothing),
 }
 

@@ -97,8 +97,8 @@ for words, code in {LIGHT}.items():
 def test_a_typo_in_a_name_is_answered_with_the_nearest_name(tmp_path):
     out = ("--out", tmp_path / "r")
     assert rlbench("run", "-m", "uors", *out, code=2).endswith("not a method. Did you mean 'ours'?")
-    assert "Did you mean 'ours/latent-reinforce'?" in rlbench(
-        "run", "-m", "ours/reinforc", *out, code=2
+    assert "Did you mean 'ours/latent-stateless'?" in rlbench(
+        "run", "-m", "ours/latent-statless", *out, code=2
     )
     assert "Did you mean 'mini'?" in rlbench("render", "--preset", "minni", code=2)
     assert "Did you mean 'temple'?" in rlbench("render", "--scenes", "tempel", code=2)

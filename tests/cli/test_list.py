@@ -40,7 +40,7 @@ def test_a_narrow_terminal_shows_every_word_of_a_list(monkeypatch):
 
 def test_list_shows_where_the_weights_of_a_method_come_from():
     weights = {row["name"]: row["weights"] for row in list_json("methods")["methods"]}
-    names = ("mean", "oidn", "oidn/tuned", "ours/latent-reinforce")
+    names = ("mean", "oidn", "oidn/tuned", "ours/fast")
     expected = ["", "shipped, by Intel", "shipped", "to be trained"]
     assert [weights[name] for name in names] == expected
 

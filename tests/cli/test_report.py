@@ -16,7 +16,7 @@ from rlbench.weights import read_card
 from tests.cli.runner import rlbench
 from tests.conftest import write_noise, write_plugin
 
-NOT_PRETRAINED = ("ours", "ours/latent-encoder-small", "ours/latent-encoder-large@seed1")
+NOT_PRETRAINED = ("ours", "ours/fast", "ours/fast@seed1")
 
 
 def test_report_all_writes_what_it_can_and_says_why_it_skips_the_rest(run_mean, tmp_path):

@@ -12,12 +12,12 @@ from torch.nn import functional as F
 from baselines.accumulate.density import contrast as contrast_of
 from baselines.accumulate.density import mix_with_uniform
 from baselines.oidn.method import Oidn
-from methods.ours import VARIANTS
+from methods.ours import LATENT, TRAITS, VARIANTS, Config
 from methods.ours.history import gbuffer_features
 from methods.ours.method import assemble
 from methods.ours.policy import BlockReinforce
 from methods.ours.problem import EpisodeProblem
-from methods.ours.train import training_task
+from methods.ours.train import config_task, training_task
 from rlbench.clips.procedural.clip import procedural_clip
 from rlbench.frames import Samples, Size
 from rlbench.ops.init import kaiming_init
@@ -49,9 +49,7 @@ def test_a_step_has_the_same_length_at_a_large_loss_as_at_a_small_one():
     [
         v
         for v, config in VARIANTS.items()
-        if config.accumulation != "none"
-        and config.denoiser_start == "intel"
-        and v != "latent-denoiser-large"
+        if config.accumulation != "none" and config.denoiser_start == "intel"
     ],
 )
 def test_training_starts_with_the_image_of_open_image_denoise(variant):
@@ -94,9 +92,9 @@ def test_an_untrained_sampler_leaves_later_frames_to_the_rule_if_there_is_one(va
     assert by_rule.unique().numel() > 1000
 
 
-def contrast(variant: str, steps: int = 6) -> float:
-    """Mean absolute action after steps of Adam towards random actions, at the variant's rate."""
-    task, generator = training_task(variant, CPU, seed=0), torch.Generator().manual_seed(0)
+def contrast(config: Config, steps: int = 6) -> float:
+    """Mean absolute action after steps of Adam towards random actions, at the rate of a config."""
+    task, generator = config_task(config, TRAITS, CPU, seed=0), torch.Generator().manual_seed(0)
     sampler = task.networks.sampler
     adam = torch.optim.Adam(sampler.parameters(), task.max_lr * task.lr_multipliers["sampler"])
     inputs = torch.rand(1, task.networks.sampler_channels, 16, 16, generator=generator)
@@ -110,7 +108,7 @@ def contrast(variant: str, steps: int = 6) -> float:
 
 def test_steps_change_the_map_of_a_wider_sampler_no_further():
     """At the full rate six steps end at 0.91, with nearly all of the map at its bounds."""
-    assert 0 < contrast("latent-sampler-large") <= contrast("latent")
+    assert 0 < contrast(replace(LATENT, sampler=(64, 128, 256, 512, 1024))) <= contrast(LATENT)
 
 
 @pytest.mark.parametrize("variant", [name for name in VARIANTS if name.startswith("paper")])

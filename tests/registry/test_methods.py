@@ -36,11 +36,11 @@ def test_patterns_are_expanded_without_repeats(tmp_path, patterns, expected):
     [
         (["ours/*"], True, False),
         (["ours/*"], False, True),
-        (["ours/latent-denoiser-large"], True, True),
+        (["ours/fast"], True, True),
     ],
 )
 def test_a_pattern_leaves_out_variants_without_pretrained_weights(patterns, trained, expected):
-    assert ("ours/latent-denoiser-large" in registry.expand(patterns, trained)) == expected
+    assert ("ours/fast" in registry.expand(patterns, trained)) == expected
 
 
 def test_all_selects_every_family_with_weights_once():
@@ -51,8 +51,8 @@ def test_all_selects_every_family_with_weights_once():
 
 
 def test_a_name_selects_a_row_without_weights_too():
-    assert registry.expand(["ours/latent-denoiser-large", "nppd/large"]) == [
-        "ours/latent-denoiser-large",
+    assert registry.expand(["ours/fast", "nppd/large"]) == [
+        "ours/fast",
         "nppd/large",
     ]
 

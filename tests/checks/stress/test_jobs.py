@@ -115,9 +115,7 @@ def test_a_failed_job_runs_again_next_time(tmp_path):
 
 
 def test_a_row_without_shipped_weights_is_skipped(tmp_path):
-    (result,) = run(jobs_of("ours/latent-reinforce"), tmp_path)[
-        "ours/latent-reinforce: budgets"
-    ].results
+    (result,) = run(jobs_of("nppd/large"), tmp_path)["nppd/large: budgets"].results
     assert result.verdict is Verdict.SKIPPED
     assert result.found.startswith("has no shipped weights")
 
