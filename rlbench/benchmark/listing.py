@@ -22,6 +22,7 @@ if TYPE_CHECKING:
     from rlbench.weights import ModelCard
 
 Row = dict[str, Any]
+TO_BE_TRAINED = "to be trained"
 Listing = dict[str, list[Row]]  # one list of rows a kind
 
 
@@ -88,7 +89,7 @@ def _describe_weights(variant: Variant) -> str:
     if not variant.learned:
         return ""
     if not variant.pretrained:
-        return "to be trained"
+        return TO_BE_TRAINED
     return f"shipped, by {variant.trained_by}" if variant.trained_by else "shipped"
 
 
@@ -158,6 +159,11 @@ class MethodFacts:
     card: ModelCard | None  # of the shipped weights
     traits: Traits
     broken: str = ""  # why the family cannot be imported
+
+    @property
+    def is_to_be_trained(self) -> bool:
+        """True if the row has networks, and no weights ship."""
+        return self.weights == TO_BE_TRAINED
 
 
 def method_facts() -> list[MethodFacts]:

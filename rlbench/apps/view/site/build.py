@@ -45,8 +45,9 @@ def build_pages(
 
     `pictures` are paths of pictures by scene. `images` are the methods that a picture shows, by its
     path. `report` is the path of the viewer's page. Paths are those in the folder of documents.
+    Rows that were never trained have no page.
     """
-    working = [method for method in methods if not method.broken]
+    working = [each for each in methods if not (each.broken or each.is_to_be_trained)]
     by_name = {method.name: method for method in working}
     families = {key: list(rows) for key, rows in groupby(working, lambda each: each.family)}
     links, known = paper_links(), frozenset(by_name)

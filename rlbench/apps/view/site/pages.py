@@ -142,8 +142,6 @@ def _gap(record: Mapping[str, float | str | bool]) -> str:
 
 
 def _unmeasured(method: MethodFacts) -> str:
-    if method.learned and method.card is None:
-        return f"None: the weights do not ship. `rlbench train -m {method.name}` makes them.\n"
     return f"None in the results of this site. `rlbench run -m {method.name}` measures them.\n"
 
 
