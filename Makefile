@@ -29,7 +29,7 @@ SHOWN := view=flip&clip=0&frame=7&a=ours&b=mean&split=0.5&px=120&py=90
 
 SPP := 1000
 
-.PHONY: demo docs tables baseline table1 viewer unseen speed metric-speed overhead takes regressions real recovery gradients stress training campaign contact teaser switched videos site test test-apps test-all format clean
+.PHONY: demo docs tables baseline table1 viewer unseen speed metric-speed overhead takes regressions real recovery gradients stress training campaign contact teaser switched videos site test test-apps test-all lowest format clean
 
 demo: .venv/run.stamp
 	$(BIN)/rlbench run --preset mini --keep-images --out $(RESULTS)
@@ -198,12 +198,19 @@ test-apps: .venv/dev.stamp
 test-all: RUN_TESTS += -m "not gpu"
 test-all: test test-apps
 
+# the tests of the benchmark with the lowest versions that pyproject.toml states: a quarter of an hour
+lowest:
+	$(PYTHON) -m venv .venv-lowest
+	.venv-lowest/bin/python tests/lowest_versions.py > .venv-lowest/constraints.txt
+	.venv-lowest/bin/pip install -qq -c .venv-lowest/constraints.txt -e '.[dev]'
+	.venv-lowest/bin/python -m pytest -n 2 --dist loadfile tests $(addprefix --ignore=,$(APP_TESTS))
+
 format: .venv/dev.stamp
 	$(BIN)/ruff format .
 	$(BIN)/ruff check --fix .
 
 clean:
-	rm -rf .venv build site *.egg-info .mypy_cache .ruff_cache .pytest_cache .import_linter_cache .hypothesis
+	rm -rf .venv .venv-lowest build site *.egg-info .mypy_cache .ruff_cache .pytest_cache .import_linter_cache .hypothesis
 
 # entry points are read from installed metadata: a changed pyproject.toml is installed again
 .venv/run.stamp: pyproject.toml constraints.txt | $(BIN)/pip
