@@ -1,4 +1,4 @@
-"""The lowest versions that pyproject.toml states, as constraints of pip: python tests/lowest_versions.py"""
+"""The lowest versions that pyproject.toml states, as constraints of pip."""
 
 from __future__ import annotations
 
