@@ -77,3 +77,15 @@ def _counts(spp: int) -> torch.Tensor:
 
 def _read(original, spp: int) -> torch.Tensor:
     return original.pool.read(original.pool.empty(), _counts(spp))
+
+
+def test_a_buffer_named_after_another_has_its_rule():
+    """albedo_first is an albedo."""
+    original = frame()
+    albedo = original.gbuffer.albedo.clone()
+    albedo[..., 3, 4] = math.nan
+    gbuffer = replace(original.gbuffer, buffers={"albedo_first": albedo})
+    valid = sanitize_frame(replace(original, gbuffer=gbuffer), frozenset({"albedo_first"}))
+    assert valid.gbuffer.extra("albedo_first").isfinite().all()
+    valid.questions.answer()
+    assert valid.repairs == {"albedo_first": 1}

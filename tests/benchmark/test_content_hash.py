@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import shutil
+from dataclasses import replace
 
 import pytest
 
@@ -134,3 +135,14 @@ def test_a_machine_without_a_tracer_has_an_identity_of_its_times(tmp_path, monke
     monkeypatch.setattr(clock, "describe_tracer", fail)
     (untraced,) = cell_ids(plan)
     assert untraced.times_hash not in ("", traced.times_hash)
+
+
+def test_another_version_of_a_backend_scores_again(clip_folder, monkeypatch):
+    plan = replace(run_plan(clip_folder, "oidn"), backend="openvino")
+    ids = []
+    for version in ("1", "2"):
+        monkeypatch.setattr(
+            provenance, "package_versions", lambda names, version=version: f"{names} {version}"
+        )
+        ids += cell_ids(plan)
+    assert not ids[0].has_scores_of(ids[1])

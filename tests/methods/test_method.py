@@ -248,3 +248,12 @@ def test_the_first_frame_has_no_state(variant, channels):
     state = build(variant, CPU, "random").start(Size(1, 8, 9))
     assert torch.equal(state.features, torch.full((1, channels, 8, 9), -1.0))
     assert not state.radiance.accumulated_spp.any()
+
+
+def test_history_that_is_half_rejected_has_half_the_weight_and_half_the_similarity(after_one):
+    method, frame, state = after_one
+    history = method.reproject(frame.gbuffer, state)
+    half = history.with_confidence(torch.full_like(history.similarity, 0.5))
+    assert torch.equal(half.similarity, history.similarity / 2)
+    assert torch.equal(half.radiance.accumulated_spp, history.radiance.accumulated_spp / 2)
+    assert torch.equal(half.radiance.mean, history.radiance.mean)

@@ -180,3 +180,13 @@ def test_training_rejects_no_history():
     assert VARIANTS["A2"].antilag
     shipped = build("A2", torch.device("cpu"), "random")
     assert shipped.accumulator.antilag
+
+
+@pytest.mark.parametrize(("pixels", "is_kept"), [(3, True), (4, False)])
+def test_a_window_of_three_sampled_pixels_says_nothing(pixels, is_kept):
+    """Light goes out without any noise; only some neighbouring pixels are sampled."""
+    known = torch.zeros(1, 1, 64, 64)
+    known[..., 32, 32 : 32 + pixels] = 1.0
+    old = AccumulatedRadiance(torch.ones(1, 3, 64, 64), torch.ones(1, 1, 64, 64), 16 * known)
+    new = AccumulatedRadiance(torch.zeros(1, 3, 64, 64), torch.zeros(1, 1, 64, 64), known)
+    assert bool((history_confidence(old, new, EVEN) == 1).all()) == is_kept

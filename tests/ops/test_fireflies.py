@@ -221,3 +221,20 @@ def test_gradients_are_finite_beside_empty_slots_and_windows_without_samples():
     assert gradient is not None
     assert gradient.isfinite().all()
     assert (gradient[0, 0, :, 3, 4] != 0).all()
+
+
+def test_an_outlier_twice_as_bright_as_the_limit_keeps_a_sixteenth_of_it():
+    """In an image of 1 the limit is 64; what is left above the mean of 1 is 63 / 16."""
+    radiance = torch.ones(1, 1, 3, SIDE, SIDE)
+    radiance[..., 8, 8] = 128.0
+    limited = limit_fireflies(radiance, torch.ones(1, 1, SIDE, SIDE, dtype=torch.int64))
+    assert limited[0, 0, 0, 8, 8].item() == pytest.approx(1 + 63 / 16, rel=1e-5)
+
+
+def test_a_light_among_black_pixels_of_a_bright_image_is_no_outlier():
+    """Nothing around it vouches for it, but the image's average does: 50 is below 64 times that."""
+    radiance = torch.ones(1, 1, 3, 32, 32)
+    radiance[..., 5:12, 5:12] = 0.0
+    radiance[..., 8, 8] = 50.0
+    limited = limit_fireflies(radiance, torch.ones(1, 1, 32, 32, dtype=torch.int64))
+    assert torch.equal(limited, radiance)
