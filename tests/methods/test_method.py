@@ -10,11 +10,12 @@ import pytest
 import torch
 from torch import Tensor
 
-from methods.ours.history import RecurrentState, gbuffer_features
+from methods.ours.history import RecurrentState, gbuffer_features, radiance_statistics
 from methods.ours.method import DENSITIES, Ours, build
 from methods.ours.networks import SAMPLE_ENCODINGS
 from rlbench.clips.procedural.clip import procedural_clip
 from rlbench.frames import Frame, GBuffer, Samples, Size
+from rlbench.ops.accumulation import AccumulatedRadiance
 
 CPU = torch.device("cpu")
 
@@ -257,3 +258,11 @@ def test_history_that_is_half_rejected_has_half_the_weight_and_half_the_similari
     assert torch.equal(half.similarity, history.similarity / 2)
     assert torch.equal(half.radiance.accumulated_spp, history.radiance.accumulated_spp / 2)
     assert torch.equal(half.radiance.mean, history.radiance.mean)
+
+
+def test_networks_read_16_samples_as_a_half_and_a_deviation_of_the_mean_as_a_half():
+    mean, square = torch.full((1, 3, 2, 2), 2.0), torch.full((1, 1, 2, 2), 8.0)
+    radiance = AccumulatedRadiance(mean, square, torch.full((1, 1, 2, 2), 16.0))
+    relative, weight = radiance_statistics(radiance).unbind(1)
+    torch.testing.assert_close(weight, torch.full((1, 2, 2), 0.5))
+    torch.testing.assert_close(relative, torch.full((1, 2, 2), 0.5), atol=2e-4, rtol=0)
