@@ -23,9 +23,9 @@ import torch
 
 from rlbench import registry
 from rlbench.backends import EAGER, select_backend
-from rlbench.benchmark import cost as costs
 from rlbench.benchmark import latency, results
 from rlbench.benchmark.clip_sources import StoredSource, list_pools, open_source
+from rlbench.benchmark.cost_profile import MEASURED, read_profile
 from rlbench.benchmark.run_outcome import RunWarning, judge_run
 from rlbench.benchmark.run_plan import DEFAULT_SPP, RunPlan
 from rlbench.benchmark.runner import CellCallback, measure, read_cells
@@ -61,7 +61,7 @@ def run(
     pool: str = "stored",
     seeds: int | Iterable[int] = (0,),
     device: str = "auto",
-    cost: str = costs.MEASURED,
+    cost: str = MEASURED,
     weights: Path | str | None = None,
     weights_label: str = "",
     weights_for: str | Iterable[str] = (),
@@ -157,7 +157,7 @@ def plan_run(
     pool: str = "stored",
     seeds: int | Iterable[int] = (0,),
     device: str = "auto",
-    cost: str = costs.MEASURED,
+    cost: str = MEASURED,
     weights: Path | str | None = None,
     weights_label: str = "",
     weights_for: str | Iterable[str] = (),
@@ -367,7 +367,7 @@ def check_run(
     spp: Collection[float],
     out: Path,
     preset: str | None,
-    cost: str = costs.MEASURED,
+    cost: str = MEASURED,
     weights: str | None = None,
     pool: str = "stored",
 ) -> None:
@@ -379,8 +379,8 @@ def check_run(
     WriteError where the results or the cache cannot be written, UnknownPresetError, and
     OptionError where no method can be measured at any budget.
     """
-    if cost != costs.MEASURED:
-        costs.profile(cost)
+    if cost != MEASURED:
+        read_profile(cost)
     if weights not in (None, "random"):
         read_card(Path(weights))
     if preset is not None:

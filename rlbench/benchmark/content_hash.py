@@ -14,6 +14,7 @@ from rlbench import registry
 from rlbench.backends import EAGER
 from rlbench.benchmark import cost
 from rlbench.benchmark.cell_key import CellId
+from rlbench.benchmark.cost_profile import MEASURED, read_profile
 from rlbench.benchmark.results import HELD_OUT_PREFIX
 from rlbench.benchmark.run_plan import Cell, RunPlan, list_cells, weights_file
 from rlbench.benchmark.sample_clock import clock_modules
@@ -24,6 +25,7 @@ SCORING = ("rlbench.benchmark.scoring",)  # images to numbers
 TIMING = (
     "rlbench.benchmark.clock",
     "rlbench.benchmark.cost",
+    "rlbench.benchmark.cost_profile",
     "rlbench.benchmark.latency",
     "rlbench.benchmark.timing",
     "rlbench.system.process_settings",
@@ -105,8 +107,8 @@ class CellIds:
     @cached_property
     def _cost(self) -> str:
         """What samples are charged by: `measured`, or the content of a cost profile."""
-        is_measured = self.plan.cost == cost.MEASURED
-        return cost.MEASURED if is_measured else repr(cost.profile(self.plan.cost))
+        is_measured = self.plan.cost == MEASURED
+        return MEASURED if is_measured else repr(read_profile(self.plan.cost))
 
     @cached_property
     def _tracing(self) -> dict[tuple[str, str], str]:
@@ -125,7 +127,7 @@ class CellIds:
         """
         header, pool = cell.header, cell.traits.pool
         gbuffer = (header.gbuffer_ms, header.sample_ms) if cell.traits.inputs else ()
-        if self.plan.cost == cost.MEASURED:
+        if self.plan.cost == MEASURED:
             spread = header.sample_p5_ms, header.sample_p95_ms, header.tracer_of_times
             tracing = self._machine, self._tracing[header.name, pool]
             return header.sample_ms_of(pool), header.device, *tracing, spread, gbuffer

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 from rlbench import registry
-from rlbench.benchmark import cost
+from rlbench.benchmark.cost_profile import MEASURED, list_profiles, read_profile
 from rlbench.clips.presets import PRESETS
 from rlbench.family import Traits, Variant
 from rlbench.registry.near_names import unknown_name
@@ -139,8 +139,8 @@ def _list_presets() -> list[Row]:
 
 
 def _list_profiles() -> list[Row]:
-    measured = {"name": cost.MEASURED, "title": "this machine's path tracer"}
-    profiles = [(name, cost.profile(name)) for name in cost.profiles()]
+    measured = {"name": MEASURED, "title": "this machine's path tracer"}
+    profiles = [(name, read_profile(name)) for name in list_profiles()]
     return [measured, *({"name": n, "title": p.title, "source": p.source} for n, p in profiles)]
 
 

@@ -17,7 +17,7 @@ from rlbench import registry
 from rlbench.backends import EAGER, use_backend
 from rlbench.benchmark.cell_key import CellKey, CellsError
 from rlbench.benchmark.clip_sources import StoredSource
-from rlbench.benchmark.cost import MEASURED
+from rlbench.benchmark.cost_profile import MEASURED
 from rlbench.benchmark.latency import REPEATS, device_name
 from rlbench.benchmark.results import BF16, CROSSVAL, RESERVED_LABELS, TILES, RowName
 from rlbench.checks.returns import CheckedReturns

@@ -33,6 +33,7 @@ from rlbench.benchmark.cell_key import (
 )
 from rlbench.benchmark.clip_sources import samples_at_cap
 from rlbench.benchmark.content_hash import CellIds
+from rlbench.benchmark.cost_profile import MEASURED, read_profile
 from rlbench.benchmark.looks import record_looks
 from rlbench.benchmark.results import WHOLE_CLIP, Row
 from rlbench.benchmark.run_plan import Cell, CellLoader, RunPlan, list_cells
@@ -134,7 +135,7 @@ def measure(
     if retime:
         check_times_alone(scores_only, keep_images)
     plan.check_unique_names()
-    if retime == "uncertain" and plan.cost == cost.MEASURED:
+    if retime == "uncertain" and plan.cost == MEASURED:
         plan = replace(plan, clips=tuple(map(cost.with_certain_sample, plan.clips)))
     runner = CellRunner(plan, keep_images=keep_images, scores_only=scores_only)
     with locked_folder(folder):
@@ -278,7 +279,7 @@ class CellRunner:
         self.metrics = list(registry.load_run_metrics().values())
         self.truths = GroundTruthCache(self.metrics[0])
         self.loader = CellLoader(plan)
-        profile = None if plan.cost == cost.MEASURED else cost.profile(plan.cost)
+        profile = None if plan.cost == MEASURED else read_profile(plan.cost)
         self.timings = TimingCache(self.loader, profile)
 
     def run(

@@ -24,7 +24,8 @@ from typing import Any
 from rlbench import registry
 from rlbench.backends import EAGER
 from rlbench.benchmark import cost, latency
-from rlbench.benchmark.cost import FULL_FRAME, Cost, CostProfile, ProfileTime, Scatter
+from rlbench.benchmark.cost import FULL_FRAME, Cost, Scatter
+from rlbench.benchmark.cost_profile import CostProfile, ProfileTime
 from rlbench.benchmark.latency import PARTS, TimedRow, Timing
 from rlbench.benchmark.results import (
     CLOCK_PREFIX,

@@ -42,7 +42,7 @@ def decide(
     Raises RlbenchError where no denoiser fits, or rows cannot be compared.
     """
     from reports.decide import decide as decide_rows
-    from rlbench.benchmark.cost import MEASURED
+    from rlbench.benchmark.cost_profile import MEASURED
     from rlbench.benchmark.results import read
 
     table = read(Path(folder)) if rows is None else rows
@@ -95,9 +95,9 @@ def compare(
 def _read_times(cost: str, rows: pd.DataFrame) -> GivenTimes:
     """The times of a cost profile at its own size, for the rows of the results."""
     from reports.decide import GivenTimes
-    from rlbench.benchmark.cost import profile
+    from rlbench.benchmark.cost_profile import read_profile
 
-    times = profile(cost)
+    times = read_profile(cost)
     found = {name: times.inference(name, times.height, times.width) for name in set(rows["method"])}
     inference = {name: each.ms for name, each in found.items() if each}
     size = f"{times.width}x{times.height}"

@@ -84,7 +84,7 @@ def speed(
     from rlbench import registry
     from rlbench.backends import EAGER, select_backend
     from rlbench.benchmark.api import check_precision, select_device
-    from rlbench.benchmark.cost import write_profile
+    from rlbench.benchmark.cost_profile import write_profile
     from rlbench.benchmark.latency import device_name
     from rlbench.benchmark.speed import (
         Configuration,

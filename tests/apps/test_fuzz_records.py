@@ -30,8 +30,9 @@ from torch import nn
 
 from rlbench.apps.dumps.importers.layout import read_layout, ready_layouts
 from rlbench.apps.render.scenes.collection.pins import Pin, PinnedFile, format_pin, read_pin
-from rlbench.benchmark import cost, looks, results
+from rlbench.benchmark import looks, results
 from rlbench.benchmark.cell_key import CellId, CellKey
+from rlbench.benchmark.cost_profile import PROFILES, read_profile
 from rlbench.benchmark.regression.baseline import SCHEMA, load_baseline
 from rlbench.benchmark.results import Row
 from rlbench.clips.header import FILE, read_header
@@ -275,7 +276,7 @@ LEDGER = b"date,preset,methods,cells,code_hash\n2026-01-01T00:00:00Z,mini,mean,3
 PIN = format_pin(Pin("owner/scenes", "0" * 40, "a", (PinnedFile("scene.xml", "1" * 40, 12),)))
 QUEUE = b'[[training]]\nname = "a"\nmethods = "ours"\nminutes = 5\n'
 LAYOUT = (ready_layouts()["blender"]).read_bytes()
-PROFILE = (cost.PROFILES / "paper-2080ti.toml").read_bytes()
+PROFILE = (PROFILES / "paper-2080ti.toml").read_bytes()
 
 
 def _sample(write: Callable[[Path], object], name: str) -> bytes:
@@ -293,7 +294,7 @@ STRANGERS: dict[str, tuple[str, bytes, Callable[[Path], Any]]] = {
     "pin": ("room.tsv", PIN.encode(), read_pin),
     "queue": ("queue.toml", QUEUE, lambda file: read_queue(file, ["methods", "minutes"])),
     "layout": ("layout.toml", LAYOUT, lambda file: read_layout(str(file))),
-    "cost": ("cost.toml", PROFILE, lambda file: cost.profile(str(file))),
+    "cost": ("cost.toml", PROFILE, lambda file: read_profile(str(file))),
     "header": (FILE, _sample(write_noise, FILE), lambda file: read_header(file.parent)),
     "exr": ("a.exr", _sample(write_noise, "referenceA.0000.exr"), read_linear),
     "pfm": ("a.pfm", _sample(_write_pfm, "a.pfm"), read_linear),

@@ -12,16 +12,16 @@ import pytest
 
 from reports.published import published as published_numbers
 from rlbench.benchmark import cost
-from rlbench.benchmark.cost import CostError
+from rlbench.benchmark.cost_profile import CostError, read_profile
 from rlbench.clips.header import read_header
 from rlbench.system import provenance
 
 
 def test_published_times_are_scaled_by_pixels_as_their_convention_says():
-    price = cost.profile("paper-2080ti").sample("temple", 360, 180)
+    price = read_profile("paper-2080ti").sample("temple", 360, 180)
     assert price.ms == pytest.approx(16.6 / 8)
     assert price.convention.endswith("scaled by pixels from 720x720")
-    other = cost.profile("paper-2080ti").sample("foyer", 720, 720)
+    other = read_profile("paper-2080ti").sample("foyer", 720, 720)
     assert (other.note, other.convention) == (
         "the profile's default, as it has no 'foyer'",
         price.convention,
@@ -34,22 +34,22 @@ def test_a_profile_may_be_a_file(tmp_path):
         'title = "t"\nsource = "s"\ndevice = "d"\nheight = 10\nwidth = 10\ndefault_ms = 3\n'
         "[scene_ms]\nfoyer = 5\n"
     )
-    assert cost.profile(str(file)).sample("foyer", 10, 10) == (
+    assert read_profile(str(file)).sample("foyer", 10, 10) == (
         5,
         "d, s, scaled by pixels from 10x10",
         "",
     )
-    assert cost.profile(str(file)).inference("ours", 10, 10) is None
+    assert read_profile(str(file)).inference("ours", 10, 10) is None
 
 
 def test_one_time_is_a_profile_at_the_size_of_the_clip(tmp_path):
     file = tmp_path / "mine.toml"
     file.write_text("default_ms = 4.2\n")
     for size in ((360, 640), (720, 1280)):
-        assert cost.profile(str(file)).sample("city", *size).ms == 4.2
+        assert read_profile(str(file)).sample("city", *size).ms == 4.2
     file.write_text("default_ms = 4.2\n[inference_ms.720x720]\nours = 3.0\n")
-    with pytest.raises(cost.CostError, match="missing: height, width"):
-        cost.profile(str(file))
+    with pytest.raises(CostError, match="missing: height, width"):
+        read_profile(str(file))
 
 
 @pytest.mark.parametrize(
@@ -70,12 +70,12 @@ def test_a_profile_with_impossible_values_is_an_error(tmp_path, line, key):
     text = 'title = "t"\nsource = "s"\ndevice = "d"\nheight = 10\nwidth = 10\n'
     (tmp_path / "bad.toml").write_text(text + line)
     with pytest.raises(CostError, match=f"bad.toml': {re.escape(key)} must be numbers"):
-        cost.profile(str(tmp_path / "bad.toml"))
+        read_profile(str(tmp_path / "bad.toml"))
 
 
 @pytest.mark.parametrize("row", published_numbers().table, ids=lambda row: row.row)
 def test_published_inference_times_are_those_of_the_papers_table(row):
-    assert cost.profile("paper-2080ti").inference(row.row, 720, 720).ms == row.inference_ms
+    assert read_profile("paper-2080ti").inference(row.row, 720, 720).ms == row.inference_ms
 
 
 def test_inference_times_are_scaled_from_the_nearest_size(tmp_path):
@@ -84,7 +84,7 @@ def test_inference_times_are_scaled_from_the_nearest_size(tmp_path):
         "[scene_ms]\n[inference_ms.100x100]\nours = 8\nsvgf = 4\n"
         "[inference_ms.1000x1000]\nours = 300\n"
     )
-    profile = cost.profile(str(tmp_path / "mine.toml"))
+    profile = read_profile(str(tmp_path / "mine.toml"))
     assert profile.inference("ours", 100, 200).ms == 16
     assert profile.inference("ours", 1000, 500).ms == 150
     assert profile.inference("svgf", 1000, 1000).ms == 400
@@ -118,7 +118,7 @@ def test_a_g_buffer_costs_what_the_clips_renderer_found_relative_to_a_sample(cli
     header, machine = here(clip_folder, gbuffer_ms=6.0)
     path = cost.measured(header, machine)
     assert cost.with_gbuffer(path, path.sample_ms, header).gbuffer_ms == 6.0
-    profile = cost.profile("paper-2080ti")
+    profile = read_profile("paper-2080ti")
     city = replace(header, scene="city", height=720, width=720)
     path = cost.published(profile, city, "path")
     assert cost.with_gbuffer(path, path.sample_ms, city).gbuffer_ms == pytest.approx(34.5 * 6 / 8)
@@ -133,7 +133,7 @@ def test_a_clip_without_the_time_of_its_g_buffer_charges_none_and_says_so(clip_f
 
 def test_an_unknown_profile_lists_those_that_exist():
     with pytest.raises(CostError, match="no cost profile 'x'. Use measured, paper-2080ti"):
-        cost.profile("x")
+        read_profile("x")
 
 
 def test_a_scene_that_cannot_be_traced_here_has_no_cost_and_a_reason(clip_folder):

@@ -11,7 +11,7 @@ import torch
 from typer.testing import CliRunner
 
 from rlbench import registry
-from rlbench.benchmark.cost import profile, write_profile
+from rlbench.benchmark.cost_profile import read_profile, write_profile
 from rlbench.benchmark.speed import (
     COLUMNS,
     Configuration,
@@ -132,7 +132,7 @@ def test_times_become_a_cost_profile_and_failures_do_not(tmp_path):
     table = pd.DataFrame(rows, columns=["method", "height", "width", "inference_ms", "note"])
     file = tmp_path / "gpu.toml"
     write_profile(file, "GPU", (1080, 1920), 4.0, profile_times(table))
-    found = profile(str(file))
+    found = read_profile(str(file))
     assert found.inference("ours", 1080, 1920).ms == 3.5
     assert found.inference("oidn/tuned", 1080, 1920) is None
     assert found.sample("any", 1080, 1920).ms == 4.0

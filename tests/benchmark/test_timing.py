@@ -10,7 +10,8 @@ import torch
 
 from rlbench.benchmark import latency
 from rlbench.benchmark.clip_sources import StoredSource
-from rlbench.benchmark.cost import Cost, ProfileTime, Scatter
+from rlbench.benchmark.cost import Cost, Scatter
+from rlbench.benchmark.cost_profile import ProfileTime
 from rlbench.benchmark.latency import PARTS, PartTime, Timing
 from rlbench.benchmark.results import Row
 from rlbench.benchmark.run_plan import CellLoader, RunPlan, list_cells

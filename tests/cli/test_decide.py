@@ -7,7 +7,7 @@ import json
 import pytest
 
 import rlbench as rlbench_package
-from rlbench.benchmark.cost import write_profile
+from rlbench.benchmark.cost_profile import write_profile
 from tests.cli.runner import rlbench
 from tests.conftest import write_noise
 

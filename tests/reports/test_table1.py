@@ -17,7 +17,7 @@ from reports.analysis.scores import Scores
 from reports.published import published
 from reports.table1 import kendall_tau
 from rlbench import registry
-from rlbench.benchmark import cost
+from rlbench.benchmark.cost_profile import read_profile
 from rlbench.benchmark.results import to_dataframe
 from tests.reports.conftest import METHODS, OFFSET, as_published, cells, renamed, rows
 
@@ -136,7 +136,7 @@ PRINTED = {row.name: row for row in published().table}
 
 
 def test_the_published_costs_are_those_of_the_profile_and_their_mean():
-    profile, paper = cost.profile("paper-2080ti"), published()
+    profile, paper = read_profile("paper-2080ti"), published()
     assert (profile.scene_ms, profile.default_ms) == (paper.scene_ms, paper.sample_ms)
     assert sum(paper.scene_ms.values()) / 4 == pytest.approx(paper.sample_ms, abs=0.05)  # rounded
 
