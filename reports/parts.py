@@ -102,10 +102,10 @@ def _at_equal_time(scores: Scores, rows: list[str]) -> pd.DataFrame:
 
 def _gap_table(title: str, caption: str, records: pd.DataFrame) -> Table:
     order = [row for row in PARTS if row in set(records["method"])]
-    first = f"row: what {BASE} has in its place"
+    first = f"row: the part of {BASE} that it lacks"
     header, rows = pivot(records, format_difference, order, first)
     lines = tuple((f"{row[0]}: {PARTS[row[0]]}", *row[1:]) for row in rows)
-    caption += f" Below zero: the part of {BASE} that follows the colon pays."
+    caption += f" Below zero: the part of {BASE} that follows the colon gains."
     return Table(title, caption, header, lines, VERDICT_NOTE)
 
 

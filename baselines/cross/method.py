@@ -48,7 +48,7 @@ VARIANTS = {
     "": BASE,
     "pilots": BASE,
     "frozen": replace(BASE, learning_rate=0.0, starts_learned=True),  # what does learning give?
-    "contrast": replace(BASE, samples_by_contrast=True),  # does it pay to follow contrast?
+    "contrast": replace(BASE, samples_by_contrast=True),  # does following contrast gain?
     "restir": BASE,
 }
 

@@ -31,7 +31,7 @@ FAMILY = Family(
             "Does the sampler learn better from a smooth sample model?", TRAITS, pretrained=False
         ),
         "intel": Variant(
-            "Does the pilot pay from an equal start? (U-Nets of oidn, Intel's weights)",
+            "Does the pilot gain from an equal start? (U-Nets of oidn, Intel's weights)",
             INTEL,
             pretrained=False,
         ),

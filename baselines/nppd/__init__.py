@@ -18,7 +18,7 @@ FAMILY = Family(
     licence="Apache-2.0",
     variants={
         "": Variant("How far does a filter get that splits light over scales?", TRAITS),
-        "large": Variant("Do the published widths (15.6 M) pay?", TRAITS, pretrained=False),
+        "large": Variant("Do the published widths (15.6 M) gain?", TRAITS, pretrained=False),
         "history": Variant(
             "What do the rules of ours for history give? (weights of nppd)",
             TRAITS,

@@ -43,7 +43,7 @@ class Config:
 BASE = Config()
 VARIANTS = {
     "": BASE,
-    "large": replace(BASE, widths=LARGE_WIDTHS),  # do the published widths pay?
+    "large": replace(BASE, widths=LARGE_WIDTHS),  # do the published widths gain?
     "history": replace(BASE, weighted_history=True),  # what do the rules of ours for history give?
 }
 

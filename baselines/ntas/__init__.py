@@ -34,7 +34,7 @@ FAMILY = Family(
             weights_from="ntas",
         ),
         "intel": Variant(
-            "Do the last image and its map pay from an equal start? (U-Nets of oidn, Intel's "
+            "Do the last image and its map gain from an equal start? (U-Nets of oidn, Intel's "
             "weights)",
             INTEL,
             pretrained=False,

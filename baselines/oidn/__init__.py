@@ -41,7 +41,7 @@ FAMILY = Family(
             weights_from="oidn/tuned",
         ),
         "half": Variant(
-            "Does half resolution pay below 1 spp? (joint upsampling, weights of tuned)",
+            "Does half resolution gain below 1 spp? (joint upsampling, weights of tuned)",
             HALF,
             weights_from="oidn/tuned",
         ),

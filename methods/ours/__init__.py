@@ -55,12 +55,12 @@ class Config:
 
     @property
     def accumulates(self) -> bool:
-        """Does the variant accumulate radiance over frames?"""
+        """True if the variant accumulates radiance over frames."""
         return self.accumulation in ("temporal", "rule")
 
     @property
     def denoiser_writes_latent(self) -> bool:
-        """Is the latent an output of the denoiser, in place of the encoder's?"""
+        """True if the latent is an output of the denoiser, in place of the encoder's."""
         return self.accumulation == "rule"
 
     @property
@@ -123,7 +123,7 @@ def _paper(question: str, traits: Traits = TRAITS, **changes: Any) -> tuple[Conf
 NO_MEMORY: dict[str, Any] = {"encoder": (), "history_mode": "nothing"}
 LAST_SAMPLES: dict[str, Any] = {"encoder": (), "history_mode": "samples"}
 ROWS = {
-    "": _row("Do a learned density and denoiser pay, behind a memory by rule?", OURS),
+    "": _row("Do a learned density and denoiser gain, behind a memory by rule?", OURS),
     "A1": _row("Is the surrogate gradient alone as good?", OURS, AT_LEAST_ONE, learner="surrogate"),
     "A2": _row(
         "Is adaptive sampling worth its time? (uniform sampling)",
@@ -133,7 +133,7 @@ ROWS = {
         contrast_density=False,
     ),
     "fast": _row(
-        "Do they pay before Intel's small network too?",
+        "Do they gain before Intel's small network too?",
         OURS,
         pretrained=False,
         denoiser=FAST_WIDTHS,
@@ -154,13 +154,13 @@ ROWS = {
         contrast_density=False,
     ),
     "lag": _row(
-        "Does antilag pay? (weights of ours, history is never rejected)",
+        "Does antilag gain? (weights of ours, history is never rejected)",
         OURS,
         weights_from="ours",
         antilag=False,
     ),
     "latent": _row(
-        "Do the paper's encoder and recurrent state pay, beside accumulated radiance?", LATENT
+        "Do the paper's encoder and recurrent state gain, beside accumulated radiance?", LATENT
     ),
     "latent-A1": _row(
         "With the latent state, is the surrogate gradient alone as good?",
@@ -175,20 +175,22 @@ ROWS = {
         sampler=(),
     ),
     "latent-B1": _row(
-        "Does the state pay? (history for the sampler only: the last samples)",
+        "Does the state gain? (history for the sampler only: the last samples)",
         LATENT,
         accumulation="frame",
         **LAST_SAMPLES,
     ),
     "latent-B2": _row(
-        "Does any history pay? (every frame by itself)",
+        "Does any history gain? (every frame by itself)",
         LATENT,
         SINGLE_FRAME,
         accumulation="frame",
         **NO_MEMORY,
     ),
     "latent-C": _row(
-        "Do individual samples pay? (their mean enters the encoder)", LATENT, sample_encoding="mean"
+        "Do individual samples gain? (their mean enters the encoder)",
+        LATENT,
+        sample_encoding="mean",
     ),
     "latent-small": _row(
         "Are smaller networks enough? (all three)",
@@ -222,7 +224,7 @@ ROWS = {
         ignore_density=True,
     ),
     "latent-lag": _row(
-        "With the latent state, does antilag pay? (history is never rejected)",
+        "With the latent state, does antilag gain? (history is never rejected)",
         LATENT,
         weights_from="ours/latent",
         antilag=False,
@@ -245,13 +247,13 @@ ROWS = {
         ignore_density=True,
     ),
     "paper-B1": _paper(
-        "does the encoder pay? (the sampler reads the last samples)", **LAST_SAMPLES
+        "does the encoder gain? (the sampler reads the last samples)", **LAST_SAMPLES
     ),
     "paper-B2": _paper(
-        "does any history pay? (every frame by itself)", SINGLE_FRAME, gamma=0.0, **NO_MEMORY
+        "does any history gain? (every frame by itself)", SINGLE_FRAME, gamma=0.0, **NO_MEMORY
     ),
     "paper-C": _paper(
-        "do individual samples pay? (their mean enters the encoder)", sample_encoding="mean"
+        "do individual samples gain? (their mean enters the encoder)", sample_encoding="mean"
     ),
 }
 VARIANTS = {name: config for name, (config, _) in ROWS.items()}

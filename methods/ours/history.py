@@ -66,7 +66,7 @@ class ReprojectedHistory(NamedTuple):
     """
 
     # what networks read: G-buffer, features, radiance; for the sampler also the logarithm of the
-    # previous frame's spp, since a map that pays with many samples is too bold with few
+    # previous frame's spp, since a map that gains with many samples is too bold with few
     sampler_inputs: Float[Tensor, "n c h w"]
     features: Float[Tensor, "n c2 h w"]  # MISSING where the history is not valid
     radiance: AccumulatedRadiance  # weight 0 where the history is not valid

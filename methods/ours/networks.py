@@ -72,7 +72,7 @@ class Sampler(nn.Module):
 
     Differs from the paper where it is `paced`: the last input channel is the logarithm of the
     budget, and the value before tanh is multiplied by a power of the budget, whose factor and
-    exponent are learned. A map that pays with 4 samples per pixel is too bold with half a sample.
+    exponent are learned. A map that gains with 4 samples per pixel is too bold with half a sample.
     With a `stride` of 2, it reads means of 2 x 2 pixels, and its actions are
     interpolated: narrow layers at full resolution take long on a processor.
     """

@@ -66,7 +66,7 @@ class FrameProblem:
 
     @property
     def multiplicative(self) -> bool:
-        """Does a step of the action multiply the density by a factor, or add to it?"""
+        """True if a step of the action multiplies the density by a factor; else it adds to it."""
         return self.method.config.density == "exponential"
 
     @property

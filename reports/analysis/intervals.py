@@ -39,7 +39,7 @@ class Interval:
 
     @property
     def is_known(self) -> bool:
-        """Are there enough units for an interval?"""
+        """True if there are enough units for an interval."""
         return not math.isnan(self.low)
 
     @property

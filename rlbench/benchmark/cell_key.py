@@ -84,7 +84,7 @@ class CellId:
         return CellId(self.key, FAILED)
 
     def has_scores_of(self, cell: CellId) -> bool:
-        """Do both have the same scores, whatever their times?"""
+        """True if both have the same scores, whatever their times."""
         return (self.key, self.content_hash) == (cell.key, cell.content_hash) and not self.is_failed
 
     @property

@@ -191,7 +191,7 @@ class LinearImage:
 
     @property
     def is_absent(self) -> bool:
-        """Is it the reference of a frame that has none?"""
+        """True if it stands for the reference of a frame that has none."""
         return is_no_reference(self.radiance)
 
     @property

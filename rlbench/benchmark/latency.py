@@ -299,7 +299,7 @@ class Session:
         self._calibrated_at = self._now()
 
     def _is_finished(self, track: Track) -> bool:
-        """Is the time of a track steady, or has it had all rounds that it may have?"""
+        """True if the time of a track is steady, or it had all rounds that it may have."""
         counted, least = self.select_quiet_visits(track), self.limits.min_rounds
         times = [frame.inference for visit in counted for frame in visit.frames]
         if len(counted) >= least and is_steady(times):

@@ -171,7 +171,7 @@ class RunVerdict:
 
     @property
     def has_passed(self) -> bool:
-        """Is there a number, no failed cell, and no image that is not finite?"""
+        """True if there is a number, no failed cell, and no image that is not finite."""
         return self.has_numbers and not self.failed and not self.nonfinite
 
     def __str__(self) -> str:

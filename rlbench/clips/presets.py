@@ -86,7 +86,7 @@ class Preset:
 
     @property
     def is_test_set(self) -> bool:
-        """Are its clips scored, and never trained on?"""
+        """True if its clips are scored, and never trained on."""
         return "train" not in self.uses
 
     @property

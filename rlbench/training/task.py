@@ -157,7 +157,7 @@ class TrainingConfig:
 
     @property
     def keeps_best(self) -> bool:
-        """Are the weights of the best validation saved, instead of the last ones?"""
+        """True if the weights of the best validation are saved, instead of the last ones."""
         return self.keep != "last"
 
     def lr_factor(self, fraction_done: float) -> float:

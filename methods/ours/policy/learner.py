@@ -35,7 +35,7 @@ class AllocationProblem(Protocol):
 
     @property
     def multiplicative(self) -> bool:
-        """Does a step of the action multiply the density by a factor, or add to it?"""
+        """True if a step of the action multiplies the density by a factor; else it adds to it."""
 
     @property
     def observation(self) -> Float[Tensor, "n c h w"]:

@@ -89,7 +89,7 @@ class RegressionReport:
 
     @property
     def is_empty(self) -> bool:
-        """Is there no entry with a result?"""
+        """True if there is no entry with a result."""
         return all(None in (diff.expected, diff.measured) for diff in self.diffs)
 
     @property

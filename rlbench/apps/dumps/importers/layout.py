@@ -194,7 +194,7 @@ class Layout:
 
     @property
     def moves_onward(self) -> bool:
-        """Does motion point to the next frame, so that the frame before is read too?"""
+        """True if motion points to the next frame, so that the frame before is read too."""
         return self.motion is not None and self.motion.points.endswith("next")
 
     @property

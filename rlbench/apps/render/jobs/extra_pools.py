@@ -63,7 +63,7 @@ class MissingPool:
 
     @property
     def is_complete(self) -> bool:
-        """Does clip.toml list the pool, and do all its files exist?"""
+        """True if clip.toml lists the pool, and all its files exist."""
         header = self.folder / FILE
         is_listed = header.is_file() and self.kind.name in read_header(self.folder).pools
         return is_listed and not self.missing_frames

@@ -62,7 +62,7 @@ class CameraPath:
 
     @property
     def is_static(self) -> bool:
-        """Are all matrices equal?"""
+        """True if all matrices are equal."""
         first = self.matrices[:1]
         return self.kind not in ("own", *MOVING) and all(
             (m == first[0]).all() for m in self.matrices
