@@ -123,6 +123,7 @@ def figure_labels(scores: Scores) -> Labels:
         f"Two devices: {devices}" + ("" if everyone <= set(names) else f" ({', '.join(names)})")
         for devices, names in scores.device_mixes.items()
     )
+    heading = heading or scores.place
     return Labels(label, scores.direction, caption + _missing_methods(scores), heading)
 
 

@@ -93,7 +93,8 @@ def _figures(scores: Scores) -> dict[str, Drawing]:
     margin = TIE_DB if scores.column_text("unit") == "dB" else 0.0
     winners = replace(map_winners(curves), tie_margin=margin)
     caption, cost = _caption(scores, known), measured_sample_ms(scores)
-    heading = "; ".join(f"Two devices: {devices}" for devices in scores.device_mixes)
+    mixes = "; ".join(f"Two devices: {devices}" for devices in scores.device_mixes)
+    heading = mixes or scores.place
     drawing = partial(draw_winner_map, winners, caption, cost, heading)
     return {"": (drawing, winners.table(CSV_STEP))}
 

@@ -87,6 +87,12 @@ class Scores:
         return self.device or "an unnamed device"
 
     @cached_property
+    def place(self) -> str:
+        """The device and the size of the frames, for a title: `AMD EPYC, 192x192`."""
+        sizes = sorted(set(self.rows["size"]) - {""})
+        return ", ".join([self.device_name[:1].upper() + self.device_name[1:], *sizes])
+
+    @cached_property
     def all_rows(self) -> pd.DataFrame:
         """The rows of the metric, those without a value too."""
         return self.rows[self.rows["metric"] == self.metric]

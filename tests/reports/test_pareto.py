@@ -176,15 +176,16 @@ def test_an_uncertain_point_is_pale_with_a_bar_over_its_interval():
 @pytest.mark.parametrize(
     ("methods", "end"), [(("ours", "oidn"), ""), (("ours",), " (ours)"), ((), None)]
 )
-def test_the_title_says_which_frame_times_are_of_two_devices(methods, end):
+def test_the_title_names_device_and_size_or_which_frame_times_are_of_two_devices(methods, end):
     frames = [
         replace(row, metric="frame_ms", note=TWO_DEVICES if row.method in methods else "")
         for row in rows(["ours", "oidn"])
         if row.metric == "plan_ms"
     ]
-    labels = pareto.figure_labels(Scores(to_dataframe(rows(["ours", "oidn"]) + frames)))
-    title = TWO_DEVICES.capitalize()
-    assert labels.heading.lower() == ("" if end is None else title.lower() + end).lower()
+    table = to_dataframe(rows(["ours", "oidn"]) + frames).assign(size="640x360")
+    labels = pareto.figure_labels(Scores(table, device="NVIDIA RTX 2080 Ti"))
+    title = "NVIDIA RTX 2080 Ti, 640x360" if end is None else TWO_DEVICES.capitalize() + end
+    assert labels.heading.lower() == title.lower()
 
 
 @pytest.fixture(scope="module")
