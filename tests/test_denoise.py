@@ -11,7 +11,6 @@ import torch
 import rlbench
 from baselines.accumulate.memory import share_by_spp
 from rlbench import registry
-from rlbench.checks.tensors import is_bit_equal
 from rlbench.denoise import (
     CLIPPED,
     DEFAULT_METHOD,
@@ -22,6 +21,7 @@ from rlbench.denoise import (
     replace_leaves,
 )
 from rlbench.frames import GBuffer, Size, StoredPool
+from rlbench.ops.nested_tensors import is_bit_equal
 
 FAMILIES = ("accumulate/tuned", "imcd", "nppd", "ntas", "oidn", "ours", "svgf", "eaw/still")
 

@@ -14,13 +14,13 @@ from rlbench.benchmark import results
 from rlbench.benchmark.clip_sources import StoredSource
 from rlbench.benchmark.run_plan import RunPlan
 from rlbench.benchmark.runner import RunSummary
-from rlbench.checks.tensors import is_bit_equal, iterate_tensors
 from rlbench.clips.in_memory import InMemoryClip
 from rlbench.clips.procedural.clip import procedural_clip
 from rlbench.errors import PluginError
 from rlbench.family import Traits
 from rlbench.frames import Size
 from rlbench.method import Method
+from rlbench.ops.nested_tensors import is_bit_equal, iterate_tensors
 from rlbench.run import FrameResult, run_clip
 from rlbench.wrappers import MethodWrapper, SkipTiles
 from tests.measuring import measure_scores

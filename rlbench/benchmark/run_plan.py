@@ -20,12 +20,12 @@ from rlbench.benchmark.clip_sources import StoredSource
 from rlbench.benchmark.cost_profile import MEASURED
 from rlbench.benchmark.latency import REPEATS, device_name
 from rlbench.benchmark.results import BF16, CROSSVAL, RESERVED_LABELS, TILES, RowName
-from rlbench.checks.returns import CheckedReturns
 from rlbench.clips.compatibility import incompatibility
 from rlbench.clips.header import Header
 from rlbench.family import Traits, Variant
 from rlbench.frames import Clip
 from rlbench.method import Method
+from rlbench.returns import CheckedReturns
 from rlbench.system.bfloat16 import require_native_bf16
 from rlbench.weights import training_clips
 from rlbench.wrappers import HalfPrecision, SkipTiles

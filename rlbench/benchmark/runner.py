@@ -54,6 +54,7 @@ from rlbench.benchmark.timing import (
     failed_time_rows,
     timing_rows,
 )
+from rlbench.clips.procedural.folder import QUICK_PREFIX, QUICK_REMARK
 from rlbench.errors import OptionError
 from rlbench.method import config_json
 from rlbench.parallel.executor import LOCAL, Executor, JobResult, ProgressCallback, Resources
@@ -61,7 +62,6 @@ from rlbench.run import run_clip
 from rlbench.system.folder_lock import locked_folder
 from rlbench.system.paths import WriteError
 from rlbench.system.process_settings import keep_freed_memory
-from rlbench.training.dataset import QUICK_PREFIX, QUICK_REMARK
 
 if TYPE_CHECKING:
     import pandas as pd

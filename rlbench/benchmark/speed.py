@@ -28,12 +28,12 @@ from rlbench.benchmark.clock import SystemClock
 from rlbench.benchmark.latency import PARTS, REPEATS, TimedRow, Timing, device_name, time_methods
 from rlbench.benchmark.results import interval_columns, mark_uncertainty, uncertainty
 from rlbench.benchmark.run_plan import build_method
-from rlbench.checks.tensors import iterate_parts, iterate_tensors
 from rlbench.clips.in_memory import InMemoryClip
 from rlbench.clips.procedural.clip import procedural_clip
 from rlbench.errors import RlbenchError
 from rlbench.frames import Clip, GBuffer, Samples, Size
 from rlbench.method import Method, State
+from rlbench.ops.nested_tensors import iterate_parts, iterate_tensors
 from rlbench.parallel.executor import LOCAL, JobResult, ProgressCallback
 from rlbench.run import run_clip
 from rlbench.wrappers import MethodWrapper

@@ -51,11 +51,11 @@ def crossval(
     """
     load_plugins(plugin)
     names = expand_methods(methods, default="all")  # before torch
-    from rlbench.benchmark import crossval as protocol
     from rlbench.benchmark.api import check_run, select_device
     from rlbench.benchmark.run_outcome import read_outcome
     from rlbench.benchmark.run_plan import RunPlan
     from rlbench.cli import console
+    from rlbench.cli import crossval_folds as protocol
     from rlbench.training.task import TrainingConfig
 
     config = TrainingConfig(

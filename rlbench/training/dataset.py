@@ -20,6 +20,7 @@ from rlbench.clips.presets import (
     get_preset,
     is_clip_for,
 )
+from rlbench.clips.procedural.folder import QUICK_PREFIX, QUICK_REMARK
 from rlbench.clips.rendering import render_preset_clips
 from rlbench.clips.stored import StoredClip, find_all_clips, open_clip
 from rlbench.errors import OptionError
@@ -33,9 +34,7 @@ if TYPE_CHECKING:
 
 Render = Callable[..., list[Path]]  # `render_preset_clips`, perhaps with some arguments given
 
-QUICK_PREFIX = "procedural-"  # of the names of clips for a quick training
 QUICK_CLIPS, QUICK_SIDE = 10, 160  # clips, and pixels; as large as those of the preset `train`
-QUICK_REMARK = "quick: trained on procedural clips, to try the training, not for results"
 ONE_CLIP_REMARK = "validated on the clip that it was trained on"
 VALIDATION_SEEDS = (0, 14)  # of generated scenes, for runs that are not trained on generated ones
 OWN = "clips"  # name of the validation set that is split off the user's own clips

@@ -20,9 +20,9 @@ from baselines.accumulate.memory import (
 )
 from rlbench import registry
 from rlbench.checks.frame_edits import edit_radiance, start_new_shot, to_clip, with_buffers
-from rlbench.checks.tensors import has_graph
 from rlbench.clips.procedural.clip import procedural_clip
 from rlbench.frames import Frame, GBuffer, Size
+from rlbench.ops.nested_tensors import has_graph
 from rlbench.ops.reprojection import reproject, reproject_bicubic
 from rlbench.run import run_clip
 from tests.baselines.noise import read_samples

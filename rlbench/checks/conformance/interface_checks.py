@@ -26,9 +26,9 @@ from rlbench.checks.conformance.method_under_test import (
     requirement,
 )
 from rlbench.checks.frame_edits import to_clip
-from rlbench.checks.returns import Fault, find_density_fault, find_signature_fault
 from rlbench.errors import PluginError
 from rlbench.family import Traits
+from rlbench.returns import Fault, find_density_fault, find_signature_fault
 from rlbench.run import FrameResult, unroll
 from rlbench.sampling import BudgetError
 from rlbench.wrappers import HalfPrecision

@@ -16,19 +16,19 @@ from torch import Tensor
 from rlbench import registry
 from rlbench.checks.frame_edits import to_clip
 from rlbench.checks.result import CheckResult
-from rlbench.checks.returns import (
-    Fault,
-    WrongReturnError,
-    find_density_fault,
-    find_return_fault,
-)
-from rlbench.checks.tensors import has_graph, is_bit_equal, iterate_tensors
 from rlbench.clips.header import BUFFER_CHANNELS
 from rlbench.clips.in_memory import InMemoryClip
 from rlbench.clips.procedural.clip import procedural_clip
 from rlbench.family import Traits
 from rlbench.frames import Clip, GBuffer, Samples, Size
 from rlbench.method import Method, State
+from rlbench.ops.nested_tensors import has_graph, is_bit_equal, iterate_tensors
+from rlbench.returns import (
+    Fault,
+    WrongReturnError,
+    find_density_fault,
+    find_return_fault,
+)
 from rlbench.run import FrameResult, run_clip
 from rlbench.system import provenance
 from rlbench.wrappers import MethodWrapper

@@ -11,7 +11,7 @@ from rlbench import registry
 from rlbench.checks.conformance import interface_checks, recording_checks, state_checks
 from rlbench.checks.conformance.method_under_test import Check, MethodUnderTest
 from rlbench.checks.result import CheckResult, Verdict, failed, not_applicable, passed
-from rlbench.checks.returns import Fault, WrongReturnError
+from rlbench.returns import Fault, WrongReturnError
 from rlbench.system.progress import LoggedProgress
 
 CHECKS = {  # in the order in which they are defined

@@ -26,12 +26,12 @@ from rlbench.checks.conformance.method_under_test import (
     requirement,
 )
 from rlbench.checks.frame_edits import select_clip, start_new_shot, stored_radiance, to_clip
-from rlbench.checks.returns import describe_value
-from rlbench.checks.tensors import is_bit_equal, iterate_tensors
 from rlbench.family import Traits
 from rlbench.frames import Frame, GBuffer, Reference, Samples, Size, StoredPool
 from rlbench.method import Method, State
+from rlbench.ops.nested_tensors import is_bit_equal, iterate_tensors
 from rlbench.ops.tiles import Window
+from rlbench.returns import describe_value
 from rlbench.run import FrameResult
 from rlbench.wrappers import MethodWrapper, crop_inputs, map_state
 

@@ -24,10 +24,10 @@ from rlbench.checks.frame_edits import stored_radiance, to_clip, with_buffers
 from rlbench.checks.result import CheckResult, Limits, Verdict, judge
 from rlbench.checks.stress.section import MethodSection, StressedMethod
 from rlbench.checks.stress.wrappers import RecordDensity, ReplayDensity, ResumeRun
-from rlbench.checks.tensors import iterate_tensors
 from rlbench.clips.procedural.clip import procedural_clip
 from rlbench.frames import Frame, Size, StoredPool
 from rlbench.method import Method, State
+from rlbench.ops.nested_tensors import iterate_tensors
 from rlbench.run import ReadFrame, run_clip
 from rlbench.sanitize import read_unsanitized, sanitize_frame
 

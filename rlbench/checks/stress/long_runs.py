@@ -21,11 +21,11 @@ from rlbench.checks.display import largest_difference, psnr
 from rlbench.checks.frame_edits import join_clips, to_clip
 from rlbench.checks.result import CheckResult, Limits, judge, not_applicable
 from rlbench.checks.stress.section import MethodSection, StressedMethod
-from rlbench.checks.tensors import iterate_parts, iterate_tensors
 from rlbench.clips.in_memory import ComputedFrames, InMemoryClip
 from rlbench.clips.procedural.clip import procedural_clip
 from rlbench.frames import Frame, GBuffer, Samples, Size, StoredPool
 from rlbench.method import State
+from rlbench.ops.nested_tensors import iterate_parts, iterate_tensors
 from rlbench.run import FrameResult, run_clip
 from rlbench.wrappers import HalfPrecision
 

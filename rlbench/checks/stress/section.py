@@ -15,7 +15,6 @@ import torch
 import rlbench
 from rlbench import registry
 from rlbench.checks.result import CheckResult, failed
-from rlbench.checks.returns import CheckedReturns
 from rlbench.checks.stress.wrappers import ResumeRun
 from rlbench.clips.procedural.clip import procedural_clip
 from rlbench.errors import OptionError, PluginError, RlbenchError
@@ -23,6 +22,7 @@ from rlbench.family import Traits
 from rlbench.frames import Clip, Size
 from rlbench.method import Method
 from rlbench.registry.near_names import unknown_name
+from rlbench.returns import CheckedReturns
 from rlbench.run import FrameResult, run_clip
 from rlbench.system import provenance
 

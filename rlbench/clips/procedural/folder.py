@@ -14,6 +14,9 @@ from rlbench.clips.header import Header, write_header
 from rlbench.clips.procedural.clip import procedural_clip
 from rlbench.frames import Size, StoredPool
 
+QUICK_PREFIX = "procedural-"  # of the names of clips for a quick training
+QUICK_REMARK = "quick: trained on procedural clips, to try the training, not for results"
+
 
 def write_procedural_clip(
     folder: Path, seed: int = 0, side: int = 128, frames: int = 6, **header: Any

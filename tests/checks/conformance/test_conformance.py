@@ -17,9 +17,9 @@ from rlbench.checks.conformance import (
     run_checks,
 )
 from rlbench.checks.conformance.method_under_test import RecordingMethod
-from rlbench.checks.tensors import is_bit_equal, iterate_tensors
 from rlbench.clips.procedural.clip import procedural_clip
 from rlbench.frames import Size
+from rlbench.ops.nested_tensors import is_bit_equal, iterate_tensors
 from rlbench.run import run_clip
 from tests.checks.conformance.broken_fixtures import FAULTS, SIZE, SMALL_SIZE, Correct
 from tests.conftest import write_plugin

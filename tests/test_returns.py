@@ -9,9 +9,9 @@ import torch
 
 from rlbench import registry
 from rlbench.checks.conformance import MethodUnderTest, Verdict, run_check, run_checks
-from rlbench.checks.returns import CheckedReturns, WrongReturnError
 from rlbench.clips.procedural.clip import procedural_clip
 from rlbench.frames import Size
+from rlbench.returns import CheckedReturns, WrongReturnError
 from rlbench.run import run_clip
 from tests.checks.conformance.broken_fixtures import SIZE, SMALL_SIZE
 from tests.conftest import write_plugin

@@ -12,10 +12,10 @@ from typer.testing import CliRunner
 from rlbench import registry
 from rlbench.benchmark import results
 from rlbench.benchmark.clip_sources import StoredSource
-from rlbench.benchmark.crossval import Fold, crossval, row_names, variant_to_train
 from rlbench.benchmark.run_plan import RunPlan
 from rlbench.benchmark.runner import ProgressCallbacks, RunSummary
 from rlbench.cli.app import app
+from rlbench.cli.crossval_folds import Fold, crossval, row_names, variant_to_train
 from rlbench.training.dataset import TrainingSplit
 from rlbench.training.loop import TrainingRuns
 from rlbench.training.task import TrainingConfig
