@@ -5,7 +5,7 @@ A table stands between `<!-- table: SOURCE -->` and `<!-- /table -->`. SOURCE is
 - `results/unseen.md#First frame`: the table under that heading of a page of results
 - `families`: every family, its paper and its licence
 - `rows PATTERN,...`: rows such as `ours/latent*`, their questions and weights
-- `scores ROW,...`: PSNR of rows on `mini` and on `real`
+- `scores ROW,...`: PSNR of rows on `mini` and on `real`, at 192x192 and 640x360
 - `denoise`: what `rlbench denoise` gives, from `results/denoise.csv` (`docs/measure_denoise.py`)
 """
 
@@ -26,7 +26,13 @@ ROOT = Path(__file__).parents[1]
 DOCS = ROOT / "docs"
 PAGES = (ROOT / "README.md", *sorted(DOCS.rglob("*.md")))
 BLOCK = re.compile(r"(<!-- table: (.+?) -->\n).*?(<!-- /table -->)", re.DOTALL)
-BUDGETS = ("0.5 spp", "1 spp", "2 spp", "4 spp")
+BUDGETS = ("1 spp", "4 spp")
+SCORES = {  # title of columns: page of results
+    "mini": "summary",
+    "mini, 640x360": "mini-640x360",
+    "real": "real",
+    "real, 640x360": "real-640x360",
+}
 
 
 def fill_tables(page: str) -> str:
@@ -95,12 +101,12 @@ def _format_training(card: ModelCard | None) -> str:
 
 
 def _list_scores(names: Sequence[str]) -> list[list[str]]:
-    """PSNR of rows on `mini` and on `real`, without intervals; `-` where a row cannot run."""
+    """PSNR of rows on `mini` and on `real` at two sizes, without intervals."""
     pages = {
-        "mini": _read_table("results/summary.md", "PSNR [dB], mean over scenes"),
-        "real": _read_table("results/real.md", "PSNR [dB], mean over scenes"),
+        title: _read_table(f"results/{page}.md", "PSNR [dB], mean over scenes")
+        for title, page in SCORES.items()
     }
-    head = ["row", *(f"{preset}: {spp}" for preset in pages for spp in BUDGETS)]
+    head = ["row", *(f"{title}: {spp}" for title in pages for spp in BUDGETS)]
     rows = [head, ["---", *["---:"] * (len(head) - 1)]]
     for name in names:
         cells = [f"`{name}`"]
