@@ -16,7 +16,7 @@ from rlbench.checks.result import Verdict
 from rlbench.clips.stored import verify
 from tests.apps.dumps.lint.broken_fixtures import correct_clip
 
-PAGE = Path(__file__).parents[2] / "docs" / "reference" / "clip-format.md"
+PAGE = Path(__file__).parents[4] / "docs" / "reference" / "clip-format.md"
 MAIN = """
 int main(int count, char** words) {  // FOLDER WIDTH HEIGHT FRAMES SAMPLES, floats from stdin
     const std::string folder = words[1];
