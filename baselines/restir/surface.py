@@ -39,7 +39,7 @@ class Surface:
         """The shading normal, towards the ray's origin."""
         import drjit as dr
 
-        return dr.select(dr.dot(self.hit.n, self.ray.d) > 0, -1, 1) * self.hit.sh_frame.n
+        return dr.select(dr.dot(self.hit.n, self.ray.d) > 0, -1.0, 1.0) * self.hit.sh_frame.n
 
     @property
     def bsdf_index(self) -> Any:

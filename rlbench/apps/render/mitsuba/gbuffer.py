@@ -121,7 +121,7 @@ def _surface_features(
     import drjit as dr
     import mitsuba as mi
 
-    normal = surface.sh_frame.n * dr.select(dr.dot(surface.n, ray.d) > 0, -1, 1)
+    normal = surface.sh_frame.n * dr.select(dr.dot(surface.n, ray.d) > 0, -1.0, 1.0)
     return {
         "hit": (dr.select(valid, mi.Float(1), mi.Float(0)),),
         "mesh": (tracer.mesh_index(hit),),
