@@ -40,10 +40,13 @@ class SampleClock(Protocol):
     def check_scene(self, folder: Path) -> None:
         """Raise an error if the scene of a clip is not here, as the clip was rendered from it."""
 
+    def open_scene(self, folder: Path) -> None:
+        """Open the scene of a clip in place of the one before. Raises errors as `check_scene`."""
+
     def measure_scatter(self, folder: Path, counts: Int[Tensor, "1 1 h w"]) -> float:
         """Time of a sample at these counts over that of a sample of a full frame at 1 spp.
 
-        Raises an error as `check_scene`, and where no pixel has a sample.
+        The clip's scene is the open one, or is opened. Raises an error where no pixel has a sample.
         """
 
 

@@ -249,7 +249,7 @@ class ScatterMeter:
     def measure(self, cell: Cell) -> Scatter:
         """The factor of a cell's own counts; 1 with a note where its scene cannot be traced."""
         try:
-            self._clock.check_scene(cell.clip.folder)  # at once: counts take a while
+            self._clock.open_scene(cell.clip.folder)  # first: counts take a while
             return Scatter(self._clock.measure_scatter(cell.clip.folder, self._counts(cell)))
         except Exception as error:  # no scene, no tracer or no sample is a reason, it stops no run
             reason = f"{type(error).__name__}: {error}"

@@ -47,9 +47,16 @@ class TracerClock:
         """Raise ClipError or LookupError if the scene is not here, as the clip was rendered."""
         scene_of_folder(folder)
 
+    def open_scene(self, folder: Path) -> None:
+        """Open the scene of a clip, unless it is open. Raises errors as `open_wavefronts`."""
+        self._open_tracer(folder)
+
     def measure_scatter(self, folder: Path, counts: Int[Tensor, "1 1 h w"]) -> float:
         """Time of a sample at these counts over that of a full frame; see `scatter_factor`."""
+        return scatter_factor(self._open_tracer(folder), counts)
+
+    def _open_tracer(self, folder: Path) -> Tracer:
         if self._open is None or self._open[0] != folder:
             self._open = None  # closes the scene before the next one is opened
             self._open = folder, open_wavefronts(folder)
-        return scatter_factor(self._open[1], counts)
+        return self._open[1]
