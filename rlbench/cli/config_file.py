@@ -7,16 +7,15 @@ keep-images = true
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
 from rlbench.cli.arguments import PixelSize, WeightsChoice
 from rlbench.errors import OptionError
-from rlbench.parallel.engines import LOCAL_ENGINE
 from rlbench.registry.near_names import unknown_name
 from rlbench.system import documents
 
-TRUSTED = ("plugin", "engine")  # options that run code, so that the caller has to allow them
 # of the file that a run writes: they belong to one call
 LEFT_OUT = ("config", "allow_plugins", "out", "retime")
 
@@ -49,11 +48,7 @@ def check_trusted(context: Any, file: Path | None, allow_plugins: bool) -> None:
     if file is None:
         return
     values = documents.read_toml(file)
-    own = [
-        name
-        for name in TRUSTED
-        if name in values and values[name] != LOCAL_ENGINE and _is_of_file(context, name)
-    ]
+    own = [name for name in values if _runs_code(name, values) and _is_of_file(context, name)]
     if own and not allow_plugins:
         found = "; ".join(f"{name} = {values[name]!r}" for name in own)
         raise OptionError(
@@ -67,6 +62,11 @@ def check_trusted(context: Any, file: Path | None, allow_plugins: bool) -> None:
                 f"--config {file}: out = '{out}' is not in this folder. Name it yourself: --out "
                 f"{out}"
             )
+
+
+def _runs_code(name: str, values: Mapping[str, Any]) -> bool:
+    """True for an option by which others run code here: a plugin file, a cluster's address."""
+    return name == "plugin" or (name == "engine" and "=" in str(values[name]))
 
 
 def _is_of_file(context: Any, option: str) -> bool:
