@@ -131,7 +131,6 @@ large: .venv/dev.stamp
 	  $(BIN)/rlbench report real -m '$(SIZED)' --results $(RESULTS)/large/$$preset-640x360 --out docs/made \
 	    --against $(RESULTS)/large/mini-192x192,$(RESULTS)/large/real-192x192 && \
 	  mv docs/made/real.md docs/results/$$preset-640x360.md && rm -r docs/made || exit 1; done
-	sed -i '1s/Scenes by others: p/P/' docs/results/mini-640x360.md
 
 # what methods lose after a cut and a switched light, and how long: 9 minutes of rendering, 3 of scoring
 recovery: .venv/dev.stamp
@@ -192,6 +191,7 @@ site: .venv/docs.stamp
 
 RUN_TESTS = $(BIN)/python -m pytest -n 2 --dist loadfile --no-loadscope-reorder
 APP_TESTS := tests/apps tests/research
+CORE_TESTS := tests $(addprefix --ignore=,$(APP_TESTS))
 
 # style, types, layers, and the tests of the benchmark and the zoo
 test: .venv/dev.stamp
@@ -199,7 +199,7 @@ test: .venv/dev.stamp
 	$(BIN)/ruff check .
 	$(BIN)/mypy
 	$(BIN)/lint-imports
-	$(RUN_TESTS) tests $(addprefix --ignore=,$(APP_TESTS))
+	$(RUN_TESTS) $(CORE_TESTS)
 
 # of rendering, dumps, viewer and cluster, and of the experiments
 test-apps: .venv/dev.stamp
@@ -210,11 +210,12 @@ test-all: RUN_TESTS += -m "not gpu"
 test-all: test test-apps
 
 # the tests of the benchmark with the lowest versions that pyproject.toml states: a quarter of an hour
+lowest: BIN := .venv-lowest/bin
 lowest:
 	$(PYTHON) -m venv .venv-lowest
-	.venv-lowest/bin/python tests/lowest_versions.py > .venv-lowest/constraints.txt
-	.venv-lowest/bin/pip install -qq -c .venv-lowest/constraints.txt -e '.[dev]'
-	.venv-lowest/bin/python -m pytest -n 2 --dist loadfile tests $(addprefix --ignore=,$(APP_TESTS))
+	$(BIN)/python tests/lowest_versions.py > .venv-lowest/constraints.txt
+	$(BIN)/pip install -qq -c .venv-lowest/constraints.txt -e '.[dev]'
+	$(RUN_TESTS) $(CORE_TESTS)
 
 format: .venv/dev.stamp
 	$(BIN)/ruff format .

@@ -49,7 +49,7 @@ def write(
             f"the results are of preset {', '.join(presets) or 'none'}; measure scenes by others "
             f"with rlbench run --preset {PRESET}, or name results to compare with by --against"
         )
-    title = "Scenes by others"
+    title = "Scores and the order of rows"
     files = write_report(results, folder, name, title, lambda s: _section(s, against or {}))
     pictures = [f"![{file.stem}]({file.name})\n" for file in sorted(folder.glob(f"{name}-*.png"))]
     if pictures:
