@@ -11,9 +11,9 @@ DataFrame; cells that the folder holds already are not measured again::
     from rlbench.benchmark.clip_sources import StoredSource
     from rlbench.benchmark.run_plan import RunPlan
     from rlbench.benchmark.runner import measure, read_cells
-    from rlbench.apps.render.jobs.render_clips import rendered
+    from rlbench.clips.rendering import render_preset_clips
 
-    clips = tuple(StoredSource(folder) for folder in rendered(["city"], "mini"))
+    clips = tuple(map(StoredSource, render_preset_clips(["city"], "mini")))
     plan = RunPlan(("ours", "ntas"), clips, spp=(1.0, 4.0))
     folder = Path("results")
     measure(plan, folder, on_cell=lambda cell: print(cell.key))

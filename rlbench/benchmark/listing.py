@@ -22,7 +22,6 @@ if TYPE_CHECKING:
     from rlbench.weights import ModelCard
 
 Row = dict[str, Any]
-TO_BE_TRAINED = "to be trained"
 Listing = dict[str, list[Row]]  # one list of rows a kind
 
 
@@ -89,7 +88,7 @@ def _describe_weights(variant: Variant) -> str:
     if not variant.learned:
         return ""
     if not variant.pretrained:
-        return TO_BE_TRAINED
+        return "to be trained"
     return f"shipped, by {variant.trained_by}" if variant.trained_by else "shipped"
 
 
@@ -163,7 +162,7 @@ class MethodFacts:
     @property
     def is_to_be_trained(self) -> bool:
         """True if the row has networks, and no weights ship."""
-        return self.weights == TO_BE_TRAINED
+        return self.learned and self.card is None
 
 
 def method_facts() -> list[MethodFacts]:

@@ -80,9 +80,7 @@ class Preset:
     pools: tuple[str, ...] = ("path",)
     extra_buffers: tuple[str, ...] = ()  # G-buffer channels beside those that every clip has
     speeds: tuple[float, ...] = (1.0,)  # factors on all motion, dealt to clips by their seed
-    windows: bool = (
-        False  # does a clip show a window of a larger frame? (rlbench.apps.render.windows)
-    )
+    windows: bool = False  # True: a clip shows a window of a larger frame
 
     @property
     def is_test_set(self) -> bool:
