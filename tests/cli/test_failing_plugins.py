@@ -30,9 +30,12 @@ COMMANDS = {  # words, and what the output has once the rows of `mean` are done
     "speed": (("speed", "--sizes", 16, "--repeats", 1, "--out", "v"), "v/speed.csv"),
     "images": (("images", "--clips", "clips", "--spp", 1, "--out", "i"), "i/noise-1spp-02.png"),
 }
-NAMES = [
-    pytest.param(name, marks=[pytest.mark.app("view")] * (name == "images")) for name in COMMANDS
-]
+
+
+def case(command: str, *fault: str):
+    """A parameter set; the command images is that of an app."""
+    marks = [pytest.mark.app("view")] if command == "images" else []
+    return pytest.param(command, *fault, marks=marks)
 
 
 @pytest.fixture
@@ -52,11 +55,15 @@ def break_plugin(file: Path, fault: str) -> tuple[int, str]:
     return before.count("\n") + replacement.count("\n") + 1, reason
 
 
-@pytest.mark.parametrize("fault", FAULTS)
-@pytest.mark.parametrize("command", NAMES)
+@pytest.mark.parametrize(
+    ("command", "fault"),
+    [
+        *(case("check", fault) for fault in FAULTS),
+        *(case(command, "error at import") for command in COMMANDS if command != "check"),
+        *(case(command, "exit in denoise") for command in COMMANDS if command != "check"),
+    ],
+)
 def test_a_fault_costs_the_rows_of_its_plugin_and_all_others_are_done(folder, command, fault):
-    if command != "check" and fault not in ("error at import", "exit in denoise"):
-        pytest.skip("two faults stand for all where the command is not about them")
     number, reason = break_plugin(folder / "bad.py", fault)
     words, done = COMMANDS[command]
     output = rlbench(*words, "-m", "bad,mean", "--plugin", "bad.py", code=1)
@@ -65,7 +72,7 @@ def test_a_fault_costs_the_rows_of_its_plugin_and_all_others_are_done(folder, co
     assert f"(bad.py:{number})" in output
 
 
-@pytest.mark.parametrize("command", NAMES)
+@pytest.mark.parametrize("command", map(case, COMMANDS))
 def test_a_file_that_is_no_python_is_an_error_at_once(folder, command):
     words, done = COMMANDS[command]
     assert "no plugin file at" in rlbench(*words, "-m", "bad", "--plugin", "bad.py", code=2)
