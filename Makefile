@@ -19,7 +19,7 @@ endef
 
 # $(call regress,PRESET [OPTIONS]): score REGRESSIONS, also by relL2, and write the report of last frames to docs/made/PRESET
 define regress
-$(BIN)/rlbench run -m '$(REGRESSIONS)' --preset $(1) --spp 1,2,4 --scores-only --keep-images --out $(RESULTS)/regressions-$(firstword $(1))
+$(BIN)/rlbench run -m '$(REGRESSIONS)' --preset $(1) --spp 1,2,4 --times none --keep-images --out $(RESULTS)/regressions-$(firstword $(1))
 $(BIN)/rlbench evaluate $(RESULTS)/regressions-$(firstword $(1)) -m '$(REGRESSIONS)' --preset $(1) --metrics psnr,rel_l2
 $(BIN)/rlbench report last-frames -m '$(REGRESSIONS)' --results $(RESULTS)/regressions-$(firstword $(1))/evaluated --out docs/made/$(firstword $(1))
 endef
@@ -59,9 +59,9 @@ tables: .venv/run.stamp
 
 # the baseline that ships: every row on mini, with four orders of the samples; and a small one for the tests
 baseline: .venv/dev.stamp
-	$(BIN)/rlbench run --methods 'all/*' --preset mini --spp 0.5,1,2,4 --seed 0:4 --scores-only --out $(RESULTS)/baseline
+	$(BIN)/rlbench run --methods 'all/*' --preset mini --spp 0.5,1,2,4 --seed 0:4 --times none --out $(RESULTS)/baseline
 	$(BIN)/rlbench regress --results $(RESULTS)/baseline --update --baseline $(BASELINE)
-	$(BIN)/rlbench run --methods 'all/*' --preset tiny --scenes city --spp 1,4 --scores-only --out $(RESULTS)/tiny
+	$(BIN)/rlbench run --methods 'all/*' --preset tiny --scenes city --spp 1,4 --times none --out $(RESULTS)/tiny
 	$(BIN)/rlbench regress --results $(RESULTS)/tiny --update --baseline tests/tiny.json
 
 # the paper's table, figures and ablations anew, on moving takes of 20 frames: 10 minutes of rendering, an hour of scoring and timing
@@ -72,8 +72,8 @@ table1: .venv/dev.stamp
 
 # 48 generated scenes that no training used: who leads, and what learned memory and sampling give over rules: 11 minutes of rendering, half an hour of scoring
 unseen: .venv/dev.stamp
-	$(BIN)/rlbench run -m '$(UNSEEN)' --preset unseen --spp 0.25,0.5,1,2,4 --scores-only --out $(RESULTS)/unseen
-	$(BIN)/rlbench run -m '$(CLAIMED)' --preset unseen --spp 1,4 --scores-only --out $(RESULTS)/unseen
+	$(BIN)/rlbench run -m '$(UNSEEN)' --preset unseen --spp 0.25,0.5,1,2,4 --times none --out $(RESULTS)/unseen
+	$(BIN)/rlbench run -m '$(CLAIMED)' --preset unseen --spp 1,4 --times none --out $(RESULTS)/unseen
 	$(call page,ablation -m '$(CLAIMED)',$(RESULTS)/unseen,ablation-unseen)
 	$(BIN)/rlbench render --preset unseen --digests > docs/results/unseen-clips.txt
 	$(call page,clips -m '$(UNSEEN)',$(RESULTS)/unseen,unseen)
@@ -92,13 +92,13 @@ metric-speed: .venv/dev.stamp
 # shares of scoring, and of the suite itself, in a run of the demo's rows: 3 minutes of a quiet machine; clips are rendered and decoded before
 overhead: .venv/dev.stamp
 	rm -rf $(RESULTS)/overhead
-	$(BIN)/rlbench run --preset mini --scores-only --out $(RESULTS)/overhead
+	$(BIN)/rlbench run --preset mini --times none --out $(RESULTS)/overhead
 	rm -rf $(RESULTS)/overhead
 	$(BIN)/python -m tests.performance.profile_run $(RESULTS)/overhead.md --preset mini --out $(RESULTS)/overhead
 
 # comparison with static cameras, cuts, switched lights and static scenes: half an hour of rendering, as long for scoring
 takes: .venv/dev.stamp
-	$(BIN)/rlbench run -m '$(TAKES)' --preset takes --spp 0.5,1,2,4 --scores-only --out $(RESULTS)/takes
+	$(BIN)/rlbench run -m '$(TAKES)' --preset takes --spp 0.5,1,2,4 --times none --out $(RESULTS)/takes
 	$(call page,clips -m '$(TAKES)',$(RESULTS)/takes,takes)
 
 # rivals that fit or learn on the frames themselves: 40 minutes of rendering, as long for scoring
@@ -112,9 +112,9 @@ regressions: .venv/dev.stamp
 
 # scenes by others: does the order of our presets hold, and who paints blotches on walls
 real: .venv/dev.stamp
-	set -e; for preset in real mini; do $(BIN)/rlbench run -m '$(BY_OTHERS)' --preset $$preset --spp 0.5,1,2,4 --scores-only --out $(RESULTS)/$$preset; done
-	set -e; for preset in development real-development; do $(BIN)/rlbench run -m '$(EIGHT)' --preset $$preset --spp 0.5,1,2,4 --scores-only --out $(RESULTS)/$$preset; done
-	$(BIN)/rlbench run -m '$(CLAIMED)' --preset real --spp 1,4 --scores-only --out $(RESULTS)/real
+	set -e; for preset in real mini; do $(BIN)/rlbench run -m '$(BY_OTHERS)' --preset $$preset --spp 0.5,1,2,4 --times none --out $(RESULTS)/$$preset; done
+	set -e; for preset in development real-development; do $(BIN)/rlbench run -m '$(EIGHT)' --preset $$preset --spp 0.5,1,2,4 --times none --out $(RESULTS)/$$preset; done
+	$(BIN)/rlbench run -m '$(CLAIMED)' --preset real --spp 1,4 --times none --out $(RESULTS)/real
 	$(call page,ablation -m '$(CLAIMED)',$(RESULTS)/real,ablation-real)
 	$(BIN)/rlbench images -m '$(PAINTED)' --preset real --scenes living-room,staircase2 --out $(RESULTS)/real-images
 	mkdir -p docs/made
@@ -125,8 +125,8 @@ real: .venv/dev.stamp
 # frames of 640x360 beside those of 192x192, and do both have one order of rows: an hour and a half of rendering, 20 minutes of scoring
 large: .venv/dev.stamp
 	set -e; for size in 192x192 640x360; do \
-	  $(BIN)/rlbench run -m '$(SIZED)' --preset mini --size $$size --spp 1,4 --scores-only --out $(RESULTS)/large/mini-$$size && \
-	  $(BIN)/rlbench run -m '$(SIZED)' --preset real --size $$size --scenes $(OTHERS_SIZED) --spp 1,4 --scores-only --out $(RESULTS)/large/real-$$size; done
+	  $(BIN)/rlbench run -m '$(SIZED)' --preset mini --size $$size --spp 1,4 --times none --out $(RESULTS)/large/mini-$$size && \
+	  $(BIN)/rlbench run -m '$(SIZED)' --preset real --size $$size --scenes $(OTHERS_SIZED) --spp 1,4 --times none --out $(RESULTS)/large/real-$$size; done
 	set -e; for preset in mini real; do \
 	  $(BIN)/rlbench report real -m '$(SIZED)' --results $(RESULTS)/large/$$preset-640x360 --out docs/made \
 	    --against $(RESULTS)/large/mini-192x192,$(RESULTS)/large/real-192x192 && \
@@ -134,13 +134,13 @@ large: .venv/dev.stamp
 
 # what methods lose after a cut and a switched light, and how long: 9 minutes of rendering, 3 of scoring
 recovery: .venv/dev.stamp
-	$(BIN)/rlbench run -m '$(RECOVERING)' --preset takes --scenes city-cut,hall-cut,ripples-cut,temple-cut --spp 1 --scores-only --out $(RESULTS)/recovery
+	$(BIN)/rlbench run -m '$(RECOVERING)' --preset takes --scenes city-cut,hall-cut,ripples-cut,temple-cut --spp 1 --times none --out $(RESULTS)/recovery
 	$(BIN)/rlbench report recovery --results $(RESULTS)/recovery --out docs/made
 	mv docs/made/recovery.md docs/made/recovery.png docs/results && rm -r docs/made
 
 # the picture of the viewer in the README; needs Chromium
 viewer: .venv/dev.stamp
-	$(BIN)/rlbench run -m '$(VIEWED)' --preset mini --spp 1 --scores-only --keep-images --out $(RESULTS)/kept
+	$(BIN)/rlbench run -m '$(VIEWED)' --preset mini --spp 1 --times none --keep-images --out $(RESULTS)/kept
 	$(BIN)/rlbench view $(RESULTS)/kept --out $(RESULTS)/kept/report.html
 	$(BIN)/python -m tests.apps.view.viewer.take_picture $(RESULTS)/kept/report.html docs/results/viewer.png '$(SHOWN)'
 
@@ -168,19 +168,19 @@ contact: .venv/run.stamp
 
 # the animation of the README: a minute of scoring
 teaser: .venv/dev.stamp
-	$(BIN)/rlbench run -m mean,oidn,ours --preset mini --spp 1 --scenes city --keep-images --scores-only --out $(RESULTS)/teaser
+	$(BIN)/rlbench run -m mean,oidn,ours --preset mini --spp 1 --scenes city --keep-images --times none --out $(RESULTS)/teaser
 	$(BIN)/rlbench video $(RESULTS)/teaser -m mean,oidn,ours --titles 'noisy samples,denoiser without memory,ours' --samples --columns 2 --crop 0,40,192,144 --fps 6 --quality 80 --out $(RESULTS)/teaser/video
 	cp $(RESULTS)/teaser/video/city-1spp-mean-oidn-ours.webp docs/results/teaser.webp
 
 # a light that is switched, with and without antilag, and without memory: half an hour of rendering, a minute of scoring
 switched: .venv/dev.stamp
-	$(BIN)/rlbench run -m ours/lag,ours,oidn-intel --preset takes --spp 4 --scenes hall-cut --keep-images --scores-only --out $(RESULTS)/switched
+	$(BIN)/rlbench run -m ours/lag,ours,oidn-intel --preset takes --spp 4 --scenes hall-cut --keep-images --times none --out $(RESULTS)/switched
 	$(BIN)/rlbench video $(RESULTS)/switched -m ours/lag,ours,oidn-intel --titles 'ours without antilag,ours,oidn-intel' --fps 4 --quality 80 --out $(RESULTS)/switched/video
 	cp $(RESULTS)/switched/video/hall-cut-4spp-ours-lag-ours-oidn-intel.webp docs/results/switched.webp
 
 # each scene of mini, side by side, in results/videos/video: large files, not committed; two minutes of scoring
 videos: .venv/dev.stamp
-	$(BIN)/rlbench run -m '$(FILMED)' --preset mini --spp 1 --keep-images --scores-only --out $(RESULTS)/videos
+	$(BIN)/rlbench run -m '$(FILMED)' --preset mini --spp 1 --keep-images --times none --out $(RESULTS)/videos
 	$(BIN)/rlbench video $(RESULTS)/videos -m '$(FILMED)' --reference --columns 3 --zoom 2
 
 # documentation and results as a site, in site/; a broken link or an undocumented name fails it

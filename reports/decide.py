@@ -167,7 +167,7 @@ def decide(
     if strict and could_win:
         raise ReportError(
             f"--strict: times are too uncertain to name a winner: {'; '.join(inference)}. Measure "
-            "them again when the machine is quiet: rlbench run --retime uncertain"
+            "them again when the machine is quiet: rlbench run --times uncertain"
         )
     return Decision(
         sample_ms=sample_ms,

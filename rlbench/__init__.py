@@ -11,26 +11,11 @@ Names are imported when they are first used: `import rlbench` alone takes millis
 torch. The stub beside this file lists them.
 """
 
-import sys
-from types import ModuleType
-from typing import Any
-
 import lazy_loader
 
 __getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)
 
-
-class _Package(ModuleType):
-    """This package, in which `rlbench.run` and `rlbench.denoise` are functions always.
-
-    Python would replace them by the submodules of the same names, such as the page
-    `rlbench/run.py`, as soon as anything imports these. A module is reached by
-    `from rlbench.run import unroll`.
-    """
-
-    def __setattr__(self, name: str, value: Any) -> None:
-        if not (name in ("run", "denoise") and isinstance(value, ModuleType)):
-            super().__setattr__(name, value)
-
-
-sys.modules[__name__].__class__ = _Package
+# Python knows these pages from here on, and loads them at first use. Else their first import would
+# put a page in the place of the function of the same name: `rlbench.run` is `rlbench.api.run`.
+for _page in ("run", "denoise"):
+    lazy_loader.load(f"{__name__}.{_page}", suppress_warning=True)

@@ -1,8 +1,7 @@
 # ruff: noqa: TID252 - lazy_loader reads relative imports only
 from . import metrics
-from .benchmark.api import render_clips, report, run
+from .api import compare, decide, render_clips, report, run
 from .benchmark.listing import list_installed
-from .cli.answers import compare, decide
 from .clips.in_memory import InMemoryClip
 from .clips.procedural.clip import procedural_clip
 from .clips.stored import open_clip

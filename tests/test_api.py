@@ -66,7 +66,7 @@ def test_public_names_have_a_docstring(module):
 
 def test_names_on_rlbench_are_in_the_reference():
     for name in rlbench.__all__:
-        modules = {"run": "benchmark.api.run", "denoise": "denoise.denoise"}  # else those named so
+        modules = {"run": "api.run", "denoise": "denoise.denoise"}  # else those named so
         path = modules.get(name, name)
         assert re.search(rf"^::: rlbench\.{path}$", REFERENCE, re.MULTILINE), name
 
@@ -166,7 +166,7 @@ def test_what_is_installed_is_listed():
         ({"spp": 16, "clips": None}, 'spp=16: the clips of preset.*trace more with pool="live"'),
         ({"seeds": "0,1"}, "seeds='0,1': give numbers, whole numbers from 0 on"),
         ({"limit_frames": 0}, "limit_frames=0: give a whole number of frames"),
-        ({"retime": "all", "scores_only": True}, "scores_only= scores alone"),
+        ({"times": "newest"}, 'times="newest": no such times; available: missing, uncertain'),
         ({"plugin": "nowhere.py"}, "no plugin file at .*nowhere.py. A plugin is a Python file"),
         ({"weights": "random.txt"}, "random.txt"),
     ],
@@ -182,7 +182,7 @@ def test_wrong_arguments_raise_an_error_that_names_them_and_says_what_to_write(
 
 def test_one_budget_one_scene_one_folder_and_one_plugin_need_no_list(clips, tmp_path):
     plugin = write_plugin(tmp_path / "grey.py", "grey")
-    options = {"scores_only": True, "out": tmp_path / "r", "limit_frames": 2}
+    options = {"times": "none", "out": tmp_path / "r", "limit_frames": 2}
     rows = rlbench.run("grey", plugin=plugin, clips=clips, scenes="noise", spp=2, **options)
     assert set(rows["method"]) == {"grey"}
     assert set(rows["target_spp"]) == {2.0}

@@ -44,7 +44,7 @@ def test_the_metric_of_the_page_is_listed_and_scored(tmp_path, monkeypatch):
     install("add-a-metric.md", tmp_path / "site", monkeypatch)
     assert "worst_pixel" in rlbench("list", "metrics")
     clip = write_world(tmp_path / "clips" / "world")
-    words = ("--clips", clip, "--spp", 1, "--scores-only", "--out", tmp_path / "r")
+    words = ("--clips", clip, "--spp", 1, "--times", "none", "--out", tmp_path / "r")
     rlbench("run", "-m", "mean", *words)
     rows = results.read(tmp_path / "r")
     scores = rows[rows["metric"] == "worst_pixel"].sort_values("frame")["value"]
@@ -77,4 +77,4 @@ def test_the_scene_of_the_page_renders_and_passes_the_linter(tmp_path, monkeypat
     clip = tmp_path / "cache" / "clips" / "tiny" / "pyramid"
     assert "failed: 0" in rlbench("lint", clip)
     words = ("--preset", "tiny", "--scenes", "pyramid", "--spp", 1, "--out", tmp_path / "r")
-    assert "passed: no cell failed" in rlbench("run", "-m", "mean", *words, "--scores-only")
+    assert "passed: no cell failed" in rlbench("run", "-m", "mean", *words, "--times", "none")

@@ -39,7 +39,7 @@ def compare(results: Path, file: Path) -> comparison.RegressionReport:
     scenes = sorted({entry.scene for entry in entries})
     clips = tuple(StoredSource(folder) for folder in ensure(baseline.preset, scenes))
     plan = RunPlan(methods, clips, tuple(sorted({entry.target_spp for entry in entries})))
-    measure(plan, results, scores_only=True)
+    measure(plan, results, times="none")
     return comparison.compare(read_cells(plan, results), baseline)
 
 

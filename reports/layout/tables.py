@@ -19,7 +19,7 @@ Record = Mapping[Hashable, Any]
 Rows = tuple[tuple[str, ...], ...]
 UNCERTAIN_MEANING = (
     "±: how far a quiet machine's time may be from it, where that is more than "
-    f"{100 * WIDE:.0f} %; see the list below and rlbench run --retime uncertain"
+    f"{100 * WIDE:.0f} %; see the list below and rlbench run --times uncertain"
 )
 CLAIMED_MARK = "*"  # after a time that is claimed of images made elsewhere
 SCORE_NAMES = {

@@ -123,7 +123,7 @@ def uncertainty_remark(rows: pd.DataFrame, folder: Path) -> list[str]:
     return [
         f"{count} row{'s have' if count > 1 else ' has'} uncertain times, marked ±: {reason}. "
         "When the machine is quiet, measure these again: rlbench run --config "
-        f"{folder / 'run.toml'} --out {folder} --retime uncertain"
+        f"{folder / 'run.toml'} --out {folder} --times uncertain"
     ]
 
 

@@ -20,6 +20,7 @@ from rlbench.benchmark.clip_sources import StoredSource
 from rlbench.benchmark.cost_profile import MEASURED
 from rlbench.benchmark.latency import REPEATS, device_name
 from rlbench.benchmark.results import BF16, CROSSVAL, RESERVED_LABELS, TILES, RowName
+from rlbench.benchmark.run_options import DEFAULT_SPP
 from rlbench.clips.compatibility import incompatibility
 from rlbench.clips.header import Header
 from rlbench.family import Traits, Variant
@@ -29,8 +30,6 @@ from rlbench.returns import CheckedReturns
 from rlbench.system.bfloat16 import require_native_bf16
 from rlbench.weights import training_clips
 from rlbench.wrappers import HalfPrecision, SkipTiles
-
-DEFAULT_SPP = (0.5, 1.0, 2.0, 4.0)  # budgets, samples per pixel
 
 _logger = logging.getLogger(__name__)
 

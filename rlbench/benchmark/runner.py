@@ -16,7 +16,7 @@ import logging
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Literal, NamedTuple
+from typing import TYPE_CHECKING, NamedTuple, get_args
 
 import torch
 
@@ -36,6 +36,7 @@ from rlbench.benchmark.content_hash import CellIds
 from rlbench.benchmark.cost_profile import MEASURED, read_profile
 from rlbench.benchmark.looks import record_looks
 from rlbench.benchmark.results import WHOLE_CLIP, Row
+from rlbench.benchmark.run_options import AGAIN, Times
 from rlbench.benchmark.run_plan import Cell, CellLoader, RunPlan, list_cells
 from rlbench.benchmark.scoring import (
     GroundTruthCache,
@@ -58,6 +59,7 @@ from rlbench.clips.procedural.folder import QUICK_PREFIX, QUICK_REMARK
 from rlbench.errors import OptionError
 from rlbench.method import config_json
 from rlbench.parallel.executor import LOCAL, Executor, JobResult, ProgressCallback, Resources
+from rlbench.registry.near_names import unknown_name
 from rlbench.run import run_clip
 from rlbench.system.folder_lock import locked_folder
 from rlbench.system.paths import WriteError
@@ -67,7 +69,6 @@ if TYPE_CHECKING:
     import pandas as pd
 
 CellCallback = Callable[[Cell], None]
-Retime = Literal["uncertain", "all"]  # times of existing cells that are measured again
 
 _logger = logging.getLogger(__name__)
 
@@ -110,36 +111,35 @@ def measure(
     executor: Executor = LOCAL,
     on_timing: TimingCallback = _ignore,
     *,
-    retime: Retime | None = None,
-    scores_only: bool = False,
+    times: Times = "missing",
     keep_images: bool = False,
 ) -> RunSummary:
     """Measure every cell of `plan` that the results in `folder` do not have, and write its rows.
 
-    A cell whose scores the results have is only timed where its times are out of date; with
-    `retime`, such cells are timed again, and no cell is scored: all of them, or those whose times
-    are uncertain, after the time of a sample of clips whose own is. Scores stay as they are.
-    With `scores_only`, nothing is timed: a later call without it measures the times that are
-    missing, when the machine is quiet.
+    A cell whose scores the results have is only timed where its `times` are "missing" or out of
+    date. With "again", all such cells are timed again, and no cell is scored; with "uncertain",
+    those whose times are, after the time of a sample of clips whose own is. Scores stay as they
+    are. With "none", nothing is timed: a later call measures the times that are missing, when the
+    machine is quiet.
     With `keep_images`, the images of each cell are written too (`cell_images`), and a cell whose
     scores the results have without its images is measured again. `on_cell` is called with each
     finished cell, `on_timing` with the number of timed rows.
 
     Raises, before anything is measured: PluginError for an unknown method, CostError for an
     unknown cost profile, CellsError for clips with the same name, where scores of whole clips or
-    of another preset would be lost, or where `retime` finds no cell; OptionError for `retime` with
-    `keep_images` or `scores_only`; FolderInUseError where another process writes to `folder`.
+    of another preset would be lost, or where no cell can be timed again; OptionError for
+    `keep_images` with times that are measured again; FolderInUseError where another process writes
+    to `folder`.
     Raises ExecutorError where no cell can be run, and WriteError where the disk is full: what is
     measured by then is kept.
     """
-    if retime:
-        check_times_alone(scores_only, keep_images)
+    check_times(times, keep_images)
     plan.check_unique_names()
-    if retime == "uncertain" and plan.cost == MEASURED:
+    if times == "uncertain" and plan.cost == MEASURED:
         plan = replace(plan, clips=tuple(map(cost.with_certain_sample, plan.clips)))
-    runner = CellRunner(plan, keep_images=keep_images, scores_only=scores_only)
+    runner = CellRunner(plan, times, keep_images=keep_images)
     with locked_folder(folder):
-        return _measure(runner, CellStore(folder), on_cell, executor, on_timing, retime)
+        return _measure(runner, CellStore(folder), on_cell, executor, on_timing)
 
 
 def _measure(
@@ -148,27 +148,29 @@ def _measure(
     on_cell: CellCallback,
     executor: Executor,
     on_timing: TimingCallback,
-    retime: Retime | None,
 ) -> RunSummary:
     """`measure` in a folder that no other process writes to."""
-    ids = {key: store.identify(each, runner.scores_only) for key, each in runner.ids.items()}
+    times, times_alone = runner.times, runner.times in AGAIN
+    ids = {key: store.identify(each, times) for key, each in runner.ids.items()}
     for cell_id in ids.values():
         check_no_overwrite(cell_id, store.slots)
     stored = {key: store.rows(each, runner.keep_images) for key, each in ids.items()}
     known = {key: rows for key, rows in stored.items() if rows is not None}
     unscored = [cell for cell in runner.cells if cell.key not in known]
     again = {
-        key for key, rows in known.items() if retime == "all" or retime and _is_uncertain(rows)
+        key
+        for key, rows in known.items()
+        if times == "again" or times == "uncertain" and _is_uncertain(rows)
     }
     current = {key for key in known if ids[key] in store.cells and key not in again}
     due = [cell for cell in runner.cells if cell.key not in current]
-    due = [cell for cell in due if not (retime and cell in unscored)]
-    if retime and not known:
+    due = [cell for cell in due if not (times_alone and cell in unscored)]
+    if times_alone and not known:
         raise CellsError(
             f"no cell of this run is in {store.folder} with the scores of today's code, weights "
-            "and clips, so there is no time to measure again. Run without --retime"
+            f"and clips, so there is no time to measure again. Run without --times {times}"
         )
-    summary = RunSummary(set_aside=store.set_aside, unscored=len(unscored) if retime else 0)
+    summary = RunSummary(set_aside=store.set_aside, unscored=len(unscored) if times_alone else 0)
     for cell in runner.cells:
         if cell.key in current:
             summary += RunSummary(cached=1, replaced=store.drop_superseded(ids[cell.key]))
@@ -215,19 +217,19 @@ def _store(
     if error and store.find(cell):  # only the images of these scores are missing
         _logger.warning("%s: no images, its scores stay: %s", cell.key, output.failure)
         return counts
-    times = store.time_rows(cell) if runner.scores_only else []
+    times = store.time_rows(cell) if runner.times == "none" else []
     written = cell.failed if error else cell.untimed if output.failure else cell
     replaced = store.write(written, output.rows + times, output.images)
     return replace(counts, replaced=replaced)
 
 
-def check_times_alone(scores_only: bool, keep_images: bool) -> None:
-    """Raise OptionError for options that contradict `--retime`."""
-    if scores_only:
-        raise OptionError("--retime measures times alone, --scores-only scores alone. Omit one")
-    if keep_images:
+def check_times(times: str, keep_images: bool) -> None:
+    """Raise OptionError for a word that says of no times when they are measured, or no images."""
+    if times not in get_args(Times):
+        raise OptionError(unknown_name(f"--times {times}: no such times", times, get_args(Times)))
+    if times in AGAIN and keep_images:
         raise OptionError(
-            "--retime measures times alone, so it makes no images. Use --keep-images without it"
+            f"--times {times}: it measures times alone, so it makes no images. Omit --keep-images"
         )
 
 
@@ -257,11 +259,11 @@ class CellOutput(NamedTuple):
 class CellRunner:
     """Scores and times the cells of one plan; every worker has a copy."""
 
-    def __init__(self, plan: RunPlan, *, keep_images: bool, scores_only: bool) -> None:
+    def __init__(self, plan: RunPlan, times: Times, *, keep_images: bool) -> None:
         """List the cells with their identities, load the metrics and prepare a row of each cell."""
         self.plan = plan
+        self.times = times
         self.keep_images = keep_images
-        self.scores_only = scores_only
         hashes = CellIds(plan)
         self.cells = list_cells(plan)
         self.ids = {cell.key: hashes.cell_id(cell) for cell in self.cells}
@@ -297,7 +299,7 @@ class CellRunner:
             return
         gpus = 1 if self.plan.device.type == "cuda" else 0
         resources = Resources(torch.get_num_threads(), gpus)
-        timed = [] if self.scores_only else cells
+        timed = [] if self.times == "none" else cells
         errors = {
             cell.key: error
             for cell, error in self.timings.measure_all(timed, executor, resources, on_timing)
@@ -357,12 +359,12 @@ class CellRunner:
         return CellOutput(scores + self._time_rows(cell, template, scores))
 
     def _time_rows(self, cell: Cell, template: Row, scores: Sequence[Row]) -> list[Row]:
-        if self.scores_only:
+        if self.times == "none":
             return []
         mean_spp = sum(row.mean_spp for row in scores) / len(scores)
-        times, row = self.timings, replace(template, mean_spp=mean_spp)
-        published = times.published_inference(cell)
-        return timing_rows(row, times.timing(cell), times.cost(cell), published)
+        timings, row = self.timings, replace(template, mean_spp=mean_spp)
+        published = timings.published_inference(cell)
+        return timing_rows(row, timings.timing(cell), timings.cost(cell), published)
 
     def _remarks(self, cell: Cell) -> str:
         """What to know of all scores of a cell; empty for an ordinary test."""
@@ -393,12 +395,12 @@ class CellStore:
         stored = self.slots.get(cell.key.slot, ())
         return next((each for each in stored if each.has_scores_of(cell)), None)
 
-    def identify(self, cell: CellId, scores_only: bool) -> CellId:
+    def identify(self, cell: CellId, times: Times) -> CellId:
         """The identity under which a run looks for a cell and writes it.
 
-        With `scores_only` that of the stored cell with the same scores, so that its times stay.
+        With `times` "none", that of the stored cell with the same scores, so that its times stay.
         """
-        return self.find(cell) or cell.untimed if scores_only else cell
+        return self.find(cell) or cell.untimed if times == "none" else cell
 
     def rows(self, cell: CellId, with_images: bool = False) -> list[Row] | None:
         """The stored rows of a cell with the same scores, or None.

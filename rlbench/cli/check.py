@@ -38,7 +38,7 @@ def check(
     """
     patterns = require_methods(methods)
     load_rows(context, plugin, patterns)
-    from rlbench.benchmark.api import select_device
+    from rlbench.benchmark.planning import select_device
     from rlbench.checks.conformance.run import check_methods
 
     rows = show_checks(check_methods(patterns, select_device(device)), as_json, debug)

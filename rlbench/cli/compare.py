@@ -7,6 +7,7 @@ from typing import Annotated
 
 import typer
 
+from rlbench import api
 from rlbench.cli import options
 from rlbench.cli.arguments import split_names
 from rlbench.cli.json_output import as_json_text
@@ -44,9 +45,9 @@ def compare(
     if len(names) != 2:
         raise typer.BadParameter(f"name two rows, for example -m ours,oidn; {len(names)} are named")
     load_plugins(plugin)
-    import reports.compare
+    from reports.compare import comparison_text
 
     rows = read_rows(results, names, scenes, spp)
-    comparison = reports.compare.compare(rows, names[0], names[1], metric, device)
-    text = reports.compare.comparison_text
-    typer.echo(as_json_text(comparison) if as_json else text(comparison))
+    first, second = names
+    found = api.compare(first, second, rows, folder=results, metric=metric, device=device)
+    typer.echo(as_json_text(found) if as_json else comparison_text(found))

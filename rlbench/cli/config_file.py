@@ -7,7 +7,7 @@ keep-images = true
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -17,7 +17,7 @@ from rlbench.registry.near_names import unknown_name
 from rlbench.system import documents
 
 # of the file that a run writes: they belong to one call
-LEFT_OUT = ("config", "allow_plugins", "out", "retime")
+LEFT_OUT = ("config", "allow_plugins", "out")
 
 
 def use(context: Any, file: Path | None) -> Path | None:
@@ -82,12 +82,12 @@ def _as_words(value: Any, parameter: Any) -> Any:
     return list(map(str, items)) if parameter.multiple else ",".join(map(str, items))
 
 
-def write(context: Any, file: Path) -> None:
+def write(context: Any, file: Path, left_out: Collection[str] = ()) -> None:
     """Write the options that this call was given, on its command line or in a file."""
     given = {
         each.opts[0].removeprefix("--"): _as_toml(context.params[each.name])
         for each in context.command.params
-        if each.name not in LEFT_OUT and _is_given(context, each.name)
+        if each.name not in (*LEFT_OUT, *left_out) and _is_given(context, each.name)
     }
     documents.write_toml(file, given)
 

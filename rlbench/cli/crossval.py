@@ -10,11 +10,13 @@ import typer
 from rlbench.cli import options
 from rlbench.cli.arguments import split_names
 from rlbench.cli.methods import expand_methods, load_plugins
-from rlbench.cli.options import folder
+from rlbench.cli.options import fill, folder
 from rlbench.cli.train import training_runs
+from rlbench.training.task import TrainingConfig
 
 
 def crossval(
+    context: typer.Context,
     methods: options.Methods = None,
     plugin: options.Plugins = None,
     preset: options.Preset = "mini",
@@ -28,7 +30,7 @@ def crossval(
     cost: options.Cost = "measured",
     limit_frames: options.LimitFrames = None,
     batch: options.Batch = 1,
-    crop: options.Crop = options.DEFAULT_CROP,
+    crop: options.Crop = TrainingConfig.crop,
     train_spp: options.TrainSpp = options.DEFAULT_TRAIN_SPP,
     bf16: options.TrainBf16 = False,
     max_grad_norm: options.MaxGradNorm = 1.0,
@@ -51,22 +53,14 @@ def crossval(
     """
     load_plugins(plugin)
     names = expand_methods(methods, default="all")  # before torch
-    from rlbench.benchmark.api import check_run, select_device
+    from rlbench.benchmark.planning import check_run, select_device
     from rlbench.benchmark.run_outcome import read_outcome
     from rlbench.benchmark.run_plan import RunPlan
     from rlbench.cli import console
     from rlbench.cli import crossval_folds as protocol
-    from rlbench.training.task import TrainingConfig
 
-    config = TrainingConfig(
-        frames or options.DEFAULT_FRAMES,
-        batch,
-        crop,
-        seed=seed,
-        max_grad_norm=max_grad_norm,
-        bf16=bf16,
-        spp=train_spp,
-    )
+    frames = frames or options.DEFAULT_FRAMES
+    config = fill(TrainingConfig, context, frames=frames, spp=train_spp)
     runs = training_runs(out, config, device, minutes, allow_config_change)
     runs.check([name for name in map(protocol.variant_to_train, names) if name])
     results = out / "results"

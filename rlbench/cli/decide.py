@@ -8,7 +8,8 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from rlbench.cli import answers, options
+from rlbench import api
+from rlbench.cli import options
 from rlbench.cli.arguments import split_names
 from rlbench.cli.json_output import as_json_text
 from rlbench.cli.methods import load_plugins, plugin_words
@@ -86,7 +87,7 @@ def decide(
     rows, left_out = read_rows(results, methods, scenes), list[str]()
     if needs is not None:
         rows, left_out = _select_by_inputs(rows, split_names(needs))
-    decision = answers.decide(
+    decision = api.decide(
         frame_ms,
         sample_ms,
         rows,

@@ -61,9 +61,9 @@ def evaluate(
     """
     load_plugins(plugin)
     from rlbench.benchmark import evaluation
-    from rlbench.benchmark.api import select_clips
     from rlbench.benchmark.cell_images import find_kept_cells, image_pools, list_images
     from rlbench.benchmark.evaluation import select_metrics
+    from rlbench.benchmark.planning import select_clips
     from rlbench.cli import console
     from rlbench.system.paths import check_no_link, check_writable
 

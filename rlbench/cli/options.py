@@ -6,25 +6,36 @@ A command lists its options in the order of their importance: `-h` shows the fir
 
 from __future__ import annotations
 
+import inspect
 from collections.abc import Callable, Iterable
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, Literal, TypeVar
 
 import typer
 
+from rlbench.benchmark import run_options
 from rlbench.cli import arguments
 from rlbench.cli.arguments import Budgets, PixelSize, Seeds, WeightsChoice
+from rlbench.training.task import TrainingConfig
 
 METHODS, CLIPS, MEASUREMENT = "Methods", "Clips", "Measurement"  # titles of groups
 TRAINING, EXECUTION, OUTPUT, OTHER = "Training", "Execution", "Output", "Options"
 GROUPS = (METHODS, CLIPS, MEASUREMENT, TRAINING, EXECUTION, OUTPUT, OTHER)  # in the help
 
-DEFAULT_SPP = Budgets((0.5, 1.0, 2.0, 4.0))
+DEFAULT_SPP = Budgets(run_options.DEFAULT_SPP)
 DEFAULT_SEEDS = Seeds((0,))
 DEFAULT_TRAIN_SPP = Budgets(())  # those of the method
-DEFAULT_FRAMES, DEFAULT_CROP = 12_000, 128  # those of TrainingConfig
+DEFAULT_FRAMES = TrainingConfig.frames
 
 Complete = Callable[[str], list[str]]
+T = TypeVar("T")
+
+
+def fill(record: Callable[..., T], context: typer.Context, **others: Any) -> T:
+    """A record whose fields are options of the same names, but for `others`."""
+    names = inspect.signature(record).parameters
+    given = {name: value for name, value in context.params.items() if name in names}
+    return record(**given | others)
 
 
 def option(

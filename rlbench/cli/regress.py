@@ -166,7 +166,7 @@ def _update(results: Path, baseline: str, methods: list[str]) -> None:
 
 
 def _measure_speed(gates: Collection[str], device: str) -> tuple[SpeedResult, ...]:
-    from rlbench.benchmark.api import select_device
+    from rlbench.benchmark.planning import select_device
     from rlbench.benchmark.regression.comparison import measure_gates, parse_gate
     from rlbench.cli import console
 

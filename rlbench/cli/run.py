@@ -3,14 +3,15 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated
 
 import typer
 
+from rlbench.benchmark.run_options import AGAIN, RunOptions, Times
 from rlbench.cli import config_file, options
 from rlbench.cli.arguments import Seeds, WeightsChoice, parse_seeds, split_names
 from rlbench.cli.methods import expand_methods, load_plugins, load_rows, warn_without_networks
-from rlbench.cli.options import EXECUTION, MEASUREMENT, METHODS, OUTPUT, flag, folder, option
+from rlbench.cli.options import EXECUTION, MEASUREMENT, METHODS, OUTPUT, fill, flag, folder, option
 from rlbench.cli.verbosity import note
 from rlbench.errors import OptionError
 from rlbench.system.process_settings import wait_asleep
@@ -73,22 +74,15 @@ def run(
         option(MEASUREMENT, "number of sample orders: --draws 3 is --seed 0,1,2", min=1),
     ] = None,
     repeats: options.Repeats = 10,
-    retime: Annotated[
-        Literal["uncertain", "all"] | None,
+    times: Annotated[
+        Times,
         option(
             MEASUREMENT,
-            "measure times of existing cells again, and no scores: those that are uncertain, the "
-            "clips' time of a sample too, or all",
+            "measure times that are missing; or of cells that have scores, and no scores: those "
+            "that are uncertain, the clips' time of a sample too, or all again; or none, and a "
+            "later run, on a quiet machine, adds them",
         ),
-    ] = None,
-    scores_only: Annotated[
-        bool,
-        flag(
-            MEASUREMENT,
-            "--scores-only",
-            "measure no times; a later run without it, on a quiet machine, adds them",
-        ),
-    ] = False,
+    ] = "missing",
     limit_frames: options.LimitFrames = None,
     device: options.Device = "auto",
     engine: options.Engine = "local",
@@ -139,64 +133,45 @@ def run(
       rlbench run -m ours,oidn --bf16
       rlbench run -m ours,oidn --backend openvino
       rlbench run -m eaw/still --spp 0.25 --skip-tiles
-      rlbench run --config results/run.toml --retime uncertain
-      rlbench run -m ours,oidn --scores-only
+      rlbench run --config results/run.toml --times uncertain
+      rlbench run -m ours,oidn --times none
       rlbench run -m ours,oidn --keep-images
       rlbench run -m all --preset standard --takes main --engine ray --out large
     """
     config_file.check_trusted(context, config, allow_plugins)
     seeds = _sample_orders(seed, draws)
-    if scores_only:
+    if times == "none":
         wait_asleep()  # before a plugin imports torch
     names = _select_methods(context, plugin, methods)  # before torch
     chosen = (weights or WeightsChoice()).for_methods(names)
-    from rlbench.benchmark.api import plan_run
+    from rlbench.benchmark.planning import plan_run
     from rlbench.benchmark.run_outcome import read_outcome
-    from rlbench.benchmark.runner import check_times_alone, measure
+    from rlbench.benchmark.runner import check_times, measure
     from rlbench.cli import console, json_output
     from rlbench.parallel.engines import open_executor
 
-    if retime:  # what the cells' own run wrote into its file says nothing of this one
-        scores_only &= config_file.is_typed(context, "scores_only")
+    if times in AGAIN:  # what the cells' own run wrote into its file says nothing of this one
         keep_images &= config_file.is_typed(context, "keep_images")
-        check_times_alone(scores_only, keep_images)
+    check_times(times, keep_images)
     warn_without_networks(names, bf16, chosen)
     with open_executor(engine) as executor:
         plan = plan_run(
-            names,
-            out,
-            spp=spp,
-            scenes=split_names(scenes),
-            preset=preset,
-            size=size,
-            takes=takes,
-            clips=clips,
-            pool=pool,
-            seeds=seeds,
-            device=device,
-            cost=cost,
-            weights=chosen.file,
-            weights_label=chosen.label,
-            weights_for=chosen.methods,
-            bf16=bf16,
-            backend=backend,
-            skip_tiles=skip_tiles,
-            limit_frames=limit_frames,
-            repeats=repeats,
-            executor=executor,
+            fill(
+                RunOptions,
+                context,
+                methods=names,
+                scenes=split_names(scenes),
+                seeds=seeds,
+                weights=chosen.file,
+                weights_label=chosen.label,
+                weights_for=chosen.methods,
+                executor=executor,
+            )
         )
         with console.measuring(plan) as bar:
-            summary = measure(
-                plan,
-                out,
-                bar.on_cell,
-                executor,
-                bar.on_timing,
-                retime=retime,
-                scores_only=scores_only,
-                keep_images=keep_images,
-            )
-    config_file.write(context, out / "run.toml")
+            callbacks = (bar.on_cell, executor, bar.on_timing)
+            summary = measure(plan, out, *callbacks, times=times, keep_images=keep_images)
+    config_file.write(context, out / "run.toml", ("times",) if times in AGAIN else ())
     outcome = read_outcome(plan, summary, out)
     if as_json:
         json_output.print_json(json_output.run_output(outcome))

@@ -6,6 +6,7 @@ from collections.abc import Collection, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from rlbench.api import select_methods
 from rlbench.cli.arguments import split_names
 from rlbench.errors import OptionError
 from rlbench.registry.near_names import unknown_name
@@ -48,29 +49,6 @@ def read_rows(
                 f"{_join(budgets)}"
             )
         rows = rows[rows["target_spp"].isin(list(spp))]
-    return rows
-
-
-def select_methods(table: pd.DataFrame, methods: Collection[str], results: Path) -> pd.DataFrame:
-    """The rows of methods, given by names in the table or by patterns of installed methods.
-
-    Raises OptionError for a name without rows, and PluginError for a name that is neither in the
-    table nor installed.
-    """
-    from rlbench import registry
-    from rlbench.benchmark.results import RowName
-    from rlbench.benchmark.results import select_methods as are_of
-
-    available = set(table["method"])  # also of plugins that are not loaded now
-    exact = [name for name in methods if RowName.parse(name).label or name in available]
-    patterns = [name for name in methods if name not in exact]
-    rows = table[are_of(table, exact + registry.expand(patterns, pretrained_only=False))]
-    single = [n for n in methods if n.partition("/")[0] != "all" and not n.endswith("/*")]
-    missing = [name for name in single if not are_of(table, [name]).any()]
-    if missing or rows.empty:
-        names = missing or list(methods)
-        problem = f"{results} has no rows of {', '.join(names)}"
-        raise OptionError(unknown_name(problem, names[0], sorted(available)))
     return rows
 
 
@@ -117,7 +95,7 @@ def find_sources(
 
     Raises OptionError where a clip has no preset, and no folder is given.
     """
-    from rlbench.benchmark.api import select_clips
+    from rlbench.benchmark.planning import select_clips
 
     if clips:
         return select_clips(clips)

@@ -83,9 +83,9 @@ def speed(
     names = expand_methods(methods, pretrained_only=False, default="all")
     from rlbench import registry
     from rlbench.backends import EAGER, select_backend
-    from rlbench.benchmark.api import check_precision, select_device
     from rlbench.benchmark.cost_profile import write_profile
     from rlbench.benchmark.latency import device_name
+    from rlbench.benchmark.planning import check_precision, select_device
     from rlbench.benchmark.speed import (
         Configuration,
         failed_rows,

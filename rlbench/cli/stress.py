@@ -57,7 +57,7 @@ def stress(
     """
     names = split_names(methods)
     load_rows(context, plugin, names or ["all"])
-    from rlbench.benchmark.api import select_device
+    from rlbench.benchmark.planning import select_device
     from rlbench.checks.stress.run import stress_methods
     from rlbench.system.paths import check_writable
 

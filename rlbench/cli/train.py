@@ -16,13 +16,13 @@ import typer
 from rlbench.cli import options
 from rlbench.cli.arguments import Seeds, parse_keep, parse_share, split_names
 from rlbench.cli.methods import load_plugins, plugin_words, pool_kinds, trainable_methods
-from rlbench.cli.options import CLIPS, TRAINING, complete_names, flag, folder, option
+from rlbench.cli.options import CLIPS, TRAINING, complete_names, fill, flag, folder, option
 from rlbench.cli.verbosity import note
 from rlbench.errors import OptionError
+from rlbench.training.task import TrainingConfig
 
 if TYPE_CHECKING:
     from rlbench.training.loop import TrainingRuns
-    from rlbench.training.task import TrainingConfig
 
 QUEUE = "Queue"  # title of a group of options
 QUICK_FRAMES = 600
@@ -88,7 +88,7 @@ def train(
         option(CLIPS, "train on the test scenes of the preset except this one", value="SCENE"),
     ] = None,
     batch: options.Batch = 1,
-    crop: options.Crop = options.DEFAULT_CROP,
+    crop: options.Crop = TrainingConfig.crop,
     train_spp: options.TrainSpp = options.DEFAULT_TRAIN_SPP,
     bf16: options.TrainBf16 = False,
     max_grad_norm: options.MaxGradNorm = 1.0,
@@ -210,23 +210,15 @@ def train(
     from rlbench.training import dataset
     from rlbench.training.loop import archive_run
     from rlbench.training.run_folder import QUICK, find_weights, tensorboard_hint
-    from rlbench.training.task import TrainingConfig
 
     check_writable(out)
     limit = TimeLimit(math.inf if minutes is None else minutes)
-    config = TrainingConfig(
-        frames or (QUICK_FRAMES if quick else options.DEFAULT_FRAMES),
-        batch,
-        crop,
-        seed=seed,
-        max_grad_norm=max_grad_norm,
-        bf16=bf16,
+    config = fill(
+        TrainingConfig,
+        context,
+        frames=frames or (QUICK_FRAMES if quick else options.DEFAULT_FRAMES),
         spp=train_spp,
         mix=_mix_share(mix, preset, seeds, clips),
-        keep=keep,
-        eval_interval=eval_interval,
-        anchor=anchor,
-        anneal=anneal,
     )
     runs = training_runs(out, config, device, minutes, allow_config_change)
     runs = replace(runs, suffix=QUICK if quick else "", start=find_weights(start, out, names))
@@ -346,7 +338,7 @@ def training_runs(
     allow_config_change: bool = False,
 ) -> TrainingRuns:
     """Runs with these options, a progress bar, and this command in their model cards."""
-    from rlbench.benchmark.api import select_device
+    from rlbench.benchmark.planning import select_device
     from rlbench.cli import console
     from rlbench.system.bfloat16 import emulation_reason
     from rlbench.training.loop import TrainingRuns

@@ -13,7 +13,7 @@ from rlbench.system import paths
 from tests.cli.runner import rlbench
 
 SCENE = ("--preset", "tiny", "--scenes", "temple", "--size", "32x24")
-RUN = ("run", "-m", "mean", "--spp", 1, "--scores-only", "--keep-images", *SCENE)
+RUN = ("run", "-m", "mean", "--spp", 1, "--times", "none", "--keep-images", *SCENE)
 
 
 def rows(folder):
@@ -38,7 +38,7 @@ def cache(tmp_path_factory):
         rlbench("evaluate", cache / "trial", "--preset", "tiny-32x24", "--scenes", "temple")
         rlbench("view", cache / "trial", "--out", cache / "page.html")
         assert read_header(clip).frames == 2  # looking at a trial renders nothing
-        live = ("run", "-m", "mean", "--spp", 1, "--scores-only", "--pool", "live", *SCENE)
+        live = ("run", "-m", "mean", "--spp", 1, "--times", "none", "--pool", "live", *SCENE)
         rlbench(*live, "--limit-frames", 1, "--out", cache / "live")
         rlbench(*RUN, "--out", cache / "whole")
         assert read_header(clip).frames == 4

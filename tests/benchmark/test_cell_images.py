@@ -27,7 +27,7 @@ from tests.conftest import write_noise, write_plugin
 
 
 def keep(plan, folder: Path) -> RunSummary:
-    return measure(plan, folder, keep_images=True, scores_only=True)
+    return measure(plan, folder, keep_images=True, times="none")
 
 
 def kept(folder: Path) -> dict[str, bytes]:
@@ -82,7 +82,7 @@ def test_half_floats_change_psnr_by_less_than_a_hundredth_of_a_decibel(target_db
 
 
 def test_a_cell_with_scores_but_without_images_is_run_again_and_keeps_its_scores(plan, tmp_path):
-    measure(plan, tmp_path / "r", scores_only=True)
+    measure(plan, tmp_path / "r", times="none")
     before = scores(tmp_path / "r")
     assert keep(plan, tmp_path / "r") == RunSummary(measured=1)
     assert scores(tmp_path / "r") == before
@@ -95,7 +95,7 @@ def test_an_error_while_images_are_made_leaves_the_scores(clip_folder, tmp_path,
     (tmp_path / "file").touch()
     registry.use_plugin(write_plugin(tmp_path / "odd.py", "odd", body=body))
     plan = run_plan(clip_folder, "odd")
-    measure(plan, tmp_path / "r", scores_only=True)
+    measure(plan, tmp_path / "r", times="none")
     before = table.read(tmp_path / "r")
     (tmp_path / "file").unlink()
     done = keep(plan, tmp_path / "r")
@@ -134,7 +134,7 @@ def test_images_of_a_superseded_cell_are_removed(clip_folder, tmp_path, keeps):
     write_plugin(file, "gain", gain=2.0)
     registry.clear_plugins()
     registry.use_plugin(file)
-    measure(run_plan(clip_folder, "gain"), tmp_path / "r", keep_images=keeps, scores_only=True)
+    measure(run_plan(clip_folder, "gain"), tmp_path / "r", keep_images=keeps, times="none")
     assert not older.exists()
     assert len(list((tmp_path / "r" / "images").iterdir())) == keeps
 

@@ -35,7 +35,7 @@ def measured(tmp_path_factory) -> Path:
     with pytest.MonkeyPatch.context() as patch:
         patch.setenv("RLBENCH_CACHE", str(folder / "cache"))
         plan = run_plan(write_noise(folder / "noise"), "mean", "eaw", spp=(1.0, 2.0))
-        measure(plan, folder / "r", keep_images=True, scores_only=True)
+        measure(plan, folder / "r", keep_images=True, times="none")
     return folder
 
 
@@ -105,7 +105,7 @@ def test_scores_of_older_images_are_removed(clip_folder, tmp_path):
         write_plugin(file, "gain", gain=gain)
         registry.clear_plugins()
         registry.use_plugin(file)
-        measure(run_plan(clip_folder, "gain"), tmp_path / "r", keep_images=True, scores_only=True)
+        measure(run_plan(clip_folder, "gain"), tmp_path / "r", keep_images=True, times="none")
         metrics = ("psnr", "relmse") if gain == 1.0 else ("psnr",)
         score(tmp_path / "r", clip_folder, *metrics)
     rows = table.read(tmp_path / "r" / "evaluated")
@@ -153,7 +153,7 @@ def test_a_remark_of_the_run_stays_on_scores(clip_folder, tmp_path, monkeypatch)
     monkeypatch.setattr(
         "rlbench.benchmark.runner.CellRunner._remarks", lambda self, cell: "no test"
     )
-    measure(run_plan(clip_folder), tmp_path / "r", keep_images=True, scores_only=True)
+    measure(run_plan(clip_folder), tmp_path / "r", keep_images=True, times="none")
     score(tmp_path / "r", clip_folder, "psnr")
     assert set(table.read(tmp_path / "r" / "evaluated")["note"]) == {"no test"}
 
@@ -168,7 +168,7 @@ def test_images_of_another_clip_are_refused(results, tmp_path):
 
 
 def test_results_without_images_are_refused(clip_folder, tmp_path, results):
-    measure(run_plan(clip_folder), tmp_path / "plain", scores_only=True)
+    measure(run_plan(clip_folder), tmp_path / "plain", times="none")
     with pytest.raises(KeptImagesError, match="has no images of any method on noise"):
         score(tmp_path / "plain", clip_folder, "psnr")
     with pytest.raises(KeptImagesError, match="it has eaw, mean on noise"):
@@ -186,7 +186,7 @@ def test_a_metric_whose_package_is_absent_is_an_error_that_names_the_extra(monke
 def test_an_image_that_is_not_finite_scores_as_in_the_run(clip_folder, tmp_path):
     body = "return samples.mean * float('nan'), None"
     registry.use_plugin(write_plugin(tmp_path / "nan.py", "nan", body=body))
-    measure(run_plan(clip_folder, "nan"), tmp_path / "r", keep_images=True, scores_only=True)
+    measure(run_plan(clip_folder, "nan"), tmp_path / "r", keep_images=True, times="none")
     score(tmp_path / "r", clip_folder, "nonfinite", "psnr")
     rows = table.read(tmp_path / "r" / "evaluated")
     assert set(rows[rows["metric"] == "nonfinite"]["value"]) == {20.0 * 24}

@@ -48,7 +48,7 @@ def test_the_files_of_a_method_are_its_image(clip_folder, tmp_path):
 
 
 def test_the_score_on_a_sheet_is_that_of_the_results(clip_folder, tmp_path):
-    measure(plan(clip_folder, "mean"), tmp_path, scores_only=True)
+    measure(plan(clip_folder, "mean"), tmp_path, times="none")
     rows = results.read(tmp_path)
     score = rows[(rows["metric"] == "psnr") & (rows["frame"] == 2)]["value"].item()
     result = frame_at(run_clip(registry.load_method("mean"), open_clip(clip_folder), 1.0), 2)

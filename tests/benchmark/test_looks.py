@@ -68,7 +68,7 @@ def test_parallel_runs_lose_no_line_and_write_one_header(tmp_path):
 def test_a_run_is_a_look_once_and_a_finished_one_is_none(tmp_path):
     clip = write_noise(tmp_path / "clip", preset="mini")
     for _ in range(2):
-        measure(run_plan(clip), tmp_path / "r", scores_only=True)
+        measure(run_plan(clip), tmp_path / "r", times="none")
     assert looks.count_looks(tmp_path / "r") == {"mini": 1}
     assert results.read(tmp_path / "r").attrs["looks"] == {"mini": 1}
 

@@ -24,7 +24,6 @@ from rlbench.benchmark.run_plan import RunPlan, row_name
 from rlbench.benchmark.runner import RunSummary, measure, read_cells
 from rlbench.clips.header import read_header, write_header
 from rlbench.clips.stored import open_clip
-from rlbench.errors import OptionError
 from rlbench.system import code_hash, provenance
 from rlbench.weights import card_path
 from tests.conftest import write_noise, write_plugin
@@ -181,7 +180,7 @@ def test_new_times_leave_scores_bit_identical_and_score_no_frame(
     before, runs = scores(tmp_path / "r"), table.read(tmp_path / "r")
     with monkeypatch.context() as patched:
         patched.setattr("rlbench.benchmark.runner.score_frames", None)  # calling it would fail
-        done = measure(plan, tmp_path / "r", retime="all")
+        done = measure(plan, tmp_path / "r", times="again")
     assert done == RunSummary(timed=3, skipped=1)  # eaw does not support 0.5 spp
     assert repr(scores(tmp_path / "r")) == repr(before)  # as text, since nan differs from nan
     after = table.read(tmp_path / "r")
@@ -195,9 +194,9 @@ def test_a_run_without_times_leaves_them_to_a_later_run(clip_folder, tmp_path, m
 
     with monkeypatch.context() as patched:
         patched.setattr("rlbench.benchmark.latency.time_methods", None)  # calling it would fail
-        done = measure(plan, tmp_path / "r", scores_only=True)
+        done = measure(plan, tmp_path / "r", times="none")
         assert done == RunSummary(measured=3, skipped=1)  # eaw does not support 0.5 spp
-        assert measure(plan, tmp_path / "r", scores_only=True) == RunSummary(cached=4)
+        assert measure(plan, tmp_path / "r", times="none") == RunSummary(cached=4)
     rows, before = table.read(tmp_path / "r"), scores(tmp_path / "r")
     assert "ms" not in set(rows["unit"])
     assert measure(plan, tmp_path / "r") == RunSummary(timed=3, skipped=1)
@@ -210,25 +209,20 @@ def test_a_run_without_times_keeps_those_that_are_there(clip_folder, tmp_path):
     measure(plan, tmp_path / "r")
     before = table.read(tmp_path / "r")
     changed = replace(plan, cost="paper-2080ti")  # whose times would be others
-    assert measure(changed, tmp_path / "r", scores_only=True) == RunSummary(cached=1)
+    assert measure(changed, tmp_path / "r", times="none") == RunSummary(cached=1)
     assert table.read(tmp_path / "r").equals(before)
-
-
-def test_a_run_of_times_alone_and_of_scores_alone_is_a_contradiction(clip_folder, tmp_path):
-    with pytest.raises(OptionError, match="--retime measures times alone, --scores-only"):
-        measure(run_plan(clip_folder), tmp_path / "r", retime="all", scores_only=True)
 
 
 def test_only_cells_with_scores_are_timed_again(clip_folder, tmp_path):
     measure(run_plan(clip_folder, spp=(1.0,)), tmp_path / "r")
-    done = measure(run_plan(clip_folder, spp=(1.0, 2.0)), tmp_path / "r", retime="all")
+    done = measure(run_plan(clip_folder, spp=(1.0, 2.0)), tmp_path / "r", times="again")
     assert (done, done.unscored) == (RunSummary(timed=1), 1)
     assert set(table.read(tmp_path / "r")["target_spp"]) == {1.0}
 
 
 def test_retiming_without_any_cell_is_an_error(clip_folder, tmp_path):
-    with pytest.raises(CellsError, match=r"no cell of this run is in .*Run without --retime"):
-        measure(run_plan(clip_folder), tmp_path / "r", retime="all")
+    with pytest.raises(CellsError, match=r"no cell of this run is in .*Run without --times again"):
+        measure(run_plan(clip_folder), tmp_path / "r", times="again")
 
 
 def test_a_method_that_fails_when_it_is_timed_again_keeps_its_scores(clip_folder, tmp_path):
@@ -238,7 +232,7 @@ def test_a_method_that_fails_when_it_is_timed_again_keeps_its_scores(clip_folder
     measure(run_plan(clip_folder, "odd"), tmp_path / "r")
     before = scores(tmp_path / "r")
     (tmp_path / "file").unlink()
-    done = measure(run_plan(clip_folder, "odd"), tmp_path / "r", retime="all")
+    done = measure(run_plan(clip_folder, "odd"), tmp_path / "r", times="again")
     assert done == RunSummary(failed=1)
     assert [cell.method for cell in done.failures] == ["odd"]
     assert scores(tmp_path / "r") == before
@@ -252,7 +246,7 @@ def test_a_cell_whose_timing_failed_is_timed_by_the_next_run(clip_folder, tmp_pa
     (tmp_path / "file").touch()
     registry.use_plugin(write_plugin(tmp_path / "odd.py", "odd", body=body))
     plan = run_plan(clip_folder, "odd")
-    measure(plan, tmp_path / "r", scores_only=True)
+    measure(plan, tmp_path / "r", times="none")
     before = scores(tmp_path / "r")
     (tmp_path / "file").unlink()
     for _ in range(2):

@@ -49,7 +49,7 @@ def image_run(tmp_path_factory):
     with pytest.MonkeyPatch.context() as patch:
         patch.setenv("RLBENCH_CACHE", str(root / "cache"))
         words = ("run", "-m", "mean,eaw", "--clips", write_noise(root / "clips" / "noise"))
-        words += ("--spp", "1,2", "--scores-only", "--keep-images", "--out", root / "r")
+        words += ("--spp", "1,2", "--times", "none", "--keep-images", "--out", root / "r")
         rlbench(*words)
     return root
 

@@ -79,7 +79,7 @@ def test_h_is_help(words):
 
 def test_a_run_without_methods_measures_the_rows_of_the_demo_and_says_so(clip_folder, tmp_path):
     rows = FIRST_RUN
-    words = ("run", "--clips", clip_folder, "--spp", 1, "--scores-only", "--limit-frames", 1)
+    words = ("run", "--clips", clip_folder, "--spp", 1, "--times", "none", "--limit-frames", 1)
     output = rlbench(*words, "--out", tmp_path / "r")
     note = f"rows of a first run: {', '.join(rows)}; -m all runs one row of every method"
     assert output.startswith(note)
@@ -92,7 +92,7 @@ def test_a_plugin_joins_the_rows_of_a_first_run(tmp_path):
 
 
 def test_quiet_prints_results_alone_and_verbose_each_step(run_mean):
-    words = (*run_mean, "--spp", 1, "--bf16", "--scores-only")
+    words = (*run_mean, "--spp", 1, "--bf16", "--times", "none")
     note, step = "--bf16 and --weights have no effect", "rlbench.benchmark.runner: mean on noise"
     quiet = rlbench(*words, "-q")
     assert "passed" in quiet
@@ -117,7 +117,7 @@ def test_ctrl_c_says_what_is_kept_and_the_same_command_continues(clip_folder, tm
     )
     plugin = write_plugin(tmp_path / "slow.py", "slow", body=body)
     words = ("run", "mean,slow", "--plugin", plugin, "--clips", clip_folder, "--spp", 1)
-    words = (*words, "--scores-only", "--out", tmp_path / "r")
+    words = (*words, "--times", "none", "--out", tmp_path / "r")
     output = rlbench(*words, code=130)
     kept = f"interrupted: finished cells are kept in {tmp_path}/r. The same command continues"
     assert kept in output
@@ -153,12 +153,12 @@ def test_a_second_run_into_the_same_folder_is_refused(run_mean, tmp_path):
         output = rlbench(*run_mean, code=2)
     assert f"another rlbench (process {os.getpid()} on " in output
     assert f"writes to {tmp_path}/r. Wait until it ends and repeat the command" in output
-    rlbench(*run_mean, "--spp", 1, "--scores-only")
+    rlbench(*run_mean, "--spp", 1, "--times", "none")
     assert not (tmp_path / "r" / LOCK_FILE).exists()
 
 
 def test_a_disk_that_fills_up_stops_a_run_and_keeps_what_it_wrote(run_mean, small_disk):
-    words = (*run_mean[:-1], small_disk / "r", "--spp", "1,2,3,4,5,6,7,8", "--scores-only")
+    words = (*run_mean[:-1], small_disk / "r", "--spp", "1,2,3,4,5,6,7,8", "--times", "none")
     output = rlbench(*words, code=2)
     assert re.search(r"error: \S+.* cannot be written .* has \d+ bytes free", output)
     assert output.endswith("--out names another folder")
@@ -170,7 +170,7 @@ def test_a_disk_that_fills_up_stops_a_run_and_keeps_what_it_wrote(run_mean, smal
 def test_a_disk_that_fills_up_is_one_line_in_commands_that_draw(
     run_mean, small_disk, clip_folder, tmp_path, command
 ):
-    rlbench(*run_mean, "--spp", 1, "--scores-only", "--keep-images")
+    rlbench(*run_mean, "--spp", 1, "--times", "none", "--keep-images")
     words = {
         "video": ("video", tmp_path / "r", "--clips", clip_folder, "--zoom", 32),
         "images": ("images", "mean", "--clips", clip_folder),
@@ -237,7 +237,7 @@ def test_a_folder_that_takes_no_file_is_found_by_the_commands_that_publish(
     words, run_mean, tmp_path
 ):
     if "RESULTS" in words:
-        rlbench(*run_mean, "--spp", 1, "--scores-only", "--keep-images")
+        rlbench(*run_mean, "--spp", 1, "--times", "none", "--keep-images")
     (tmp_path / "file").touch()
     words = [tmp_path / "r" if word == "RESULTS" else word for word in words]
     output = rlbench(*words, "--out", tmp_path / "file" / "folder" / "it", code=2)

@@ -24,7 +24,8 @@ def folder(tmp_path_factory):
         "1,2",
         "--draws",
         2,
-        "--scores-only",
+        "--times",
+        "none",
     )
     rlbench("run", "-m", "mean,svgf", *words)
     return root / "r"

@@ -5,8 +5,8 @@ from __future__ import annotations
 import pytest
 
 from rlbench import registry
+from rlbench.api import run as rlbench_run
 from rlbench.benchmark import results
-from rlbench.benchmark.api import run as rlbench_run
 from rlbench.benchmark.run_outcome import RunWarning
 from rlbench.registry import METHODS_VARIABLE
 from tests.cli.runner import rlbench
@@ -54,7 +54,8 @@ def run(clips, methods, *words, code=1) -> str:
         clips,
         "--spp",
         1,
-        "--scores-only",
+        "--times",
+        "none",
         "--out",
         folder,
         *words,

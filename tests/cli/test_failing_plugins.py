@@ -22,7 +22,7 @@ FAULTS = {  # what replaces a line of the plugin, and the reason in its rows
 }
 COMMANDS = {  # words, and what the output has once the rows of `mean` are done
     "run": (
-        ("run", "--clips", "clips", "--spp", 1, "--scores-only", "--out", "r"),
+        ("run", "--clips", "clips", "--spp", 1, "--times", "none", "--out", "r"),
         "│ mean │ 1 │ 1",
     ),
     "check": (("check",), "✓ depend on no pixel beyond the receptive field"),

@@ -30,7 +30,7 @@ def keys(kind: type) -> set[str]:
 
 
 def test_a_run_prints_scores_counts_and_the_verdict(run_mean):
-    found = document(*run_mean, "--spp", 1, "--scores-only", "--bf16")  # and a note, elsewhere
+    found = document(*run_mean, "--spp", 1, "--times", "none", "--bf16")  # and a note, elsewhere
     assert found.keys() == keys(json_output.RunOutput)
     assert found["cells"]["measured"] == 1
     assert found["passed"]
@@ -42,7 +42,7 @@ def test_a_run_prints_scores_counts_and_the_verdict(run_mean):
 
 def test_a_run_with_images_that_are_not_finite_names_them(clip_folder, tmp_path):
     plugin = write_plugin(tmp_path / "nan.py", "nan", body="return samples.mean / 0 * 0, None")
-    words = ("run", "nan", "--plugin", plugin, "--clips", clip_folder, "--scores-only")
+    words = ("run", "nan", "--plugin", plugin, "--clips", clip_folder, "--times", "none")
     found = document(*words, "--spp", 1, "--out", tmp_path / "r", code=1)
     assert found["nonfinite"] == [
         {"cell": "nan on noise at 1 spp, seed 0", "frame": 0, "pixels": 480, "of_pixels": 480}
@@ -75,7 +75,7 @@ def test_each_check_is_listed_with_its_verdict(tmp_path, monkeypatch, words, nam
 
 
 def test_report_lists_files_and_what_it_could_not_write(run_mean, tmp_path):
-    document(*run_mean, "--spp", 1, "--scores-only")
+    document(*run_mean, "--spp", 1, "--times", "none")
     found = document("report", "summary", "--results", tmp_path / "r")
     assert found.keys() == keys(json_output.ReportOutput)
     assert f"{tmp_path}/r/report/summary.md" in found["files"]

@@ -64,7 +64,7 @@ def test_a_new_method_passes_every_check_without_being_installed(make, options):
 
 def test_a_new_method_is_scored_without_being_installed(make, tmp_path):
     folder, clip = make("scored"), write_world(tmp_path / "clips" / "world")
-    words = ("--plugin", folder / "scored", "--clips", clip, "--spp", 1, "--scores-only")
+    words = ("--plugin", folder / "scored", "--clips", clip, "--spp", 1, "--times", "none")
     assert "passed: no cell failed" in rlbench("run", "-m", "scored,mean", *words)
 
 
@@ -142,7 +142,7 @@ def test_a_new_learned_method_trains_quickly_and_is_better_than_the_mean(make, t
     rlbench("train", "-m", "student", "--quick", "--device", "cpu", *plugin)
     weights = tmp_path / "runs" / "student-quick" / "student.safetensors"
     words = ("--clips", write_world(tmp_path / "clips" / "world", seed=50), "--spp", 1)
-    rlbench("run", "-m", "student,mean", "--weights", weights, *words, *plugin, "--scores-only")
+    rlbench("run", "-m", "student,mean", "--weights", weights, *words, *plugin, "--times", "none")
     rows = results.read(tmp_path / "results")
     psnr = rows[rows["metric"] == "psnr"].groupby("method")["value"].mean()
     assert psnr["student"] > psnr["mean"] + 3  # dB

@@ -17,7 +17,7 @@ from tests.cli.runner import rlbench
 def words(run_mean, tmp_path):
     """Results of `mean` at two budgets, and the words that compare them with their baseline."""
     words = ("--results", tmp_path / "r", "--baseline", tmp_path / "base.json")
-    rlbench(*run_mean, "--spp", "1,2", "--scores-only")
+    rlbench(*run_mean, "--spp", "1,2", "--times", "none")
     assert "2 entries written" in rlbench("regress", *words, "--update")
     return words
 

@@ -7,10 +7,10 @@ import shutil
 import pytest
 
 from rlbench import registry
+from rlbench.api import select_methods
 from rlbench.benchmark import results as table
 from rlbench.benchmark.listing import frames_trained
 from rlbench.benchmark.results import UNFINISHED, Row
-from rlbench.cli.selection import select_methods
 from rlbench.errors import OptionError
 from rlbench.weights import read_card
 from tests.cli.runner import rlbench
@@ -57,7 +57,16 @@ def test_scenes_of_one_cost_profile_are_reported_together(tmp_path):
 
 def test_table1_says_how_long_shipped_weights_were_trained(tmp_path):
     write_noise(tmp_path / "clips" / "city", "city")
-    words = ("-m", "mean,oidn/tuned", "--spp", "1", "--clips", tmp_path / "clips", "--scores-only")
+    words = (
+        "-m",
+        "mean,oidn/tuned",
+        "--spp",
+        "1",
+        "--clips",
+        tmp_path / "clips",
+        "--times",
+        "none",
+    )
     trained = {}
     for weights in ((), ("--weights", "random")):
         rlbench("run", *words, *weights, "--out", tmp_path / "r")
@@ -97,7 +106,7 @@ def test_a_method_without_rows_is_an_error_of_report(plain_results):
 
 def test_rows_of_a_plugin_can_be_reported_without_it(clip_folder, tmp_path):
     plugin, out = write_plugin(tmp_path / "grey.py", "grey"), tmp_path / "r"
-    words = ("--clips", clip_folder, "--spp", 1, "--scores-only", "--out", out)
+    words = ("--clips", clip_folder, "--spp", 1, "--times", "none", "--out", out)
     rlbench("run", "-m", "grey,mean", "--plugin", plugin, *words)
     registry.clear_plugins()
     words = ("report", "summary", "--results", out, "--out", tmp_path / "figures")

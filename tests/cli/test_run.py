@@ -28,20 +28,20 @@ def scores(results: Path) -> list[tuple]:
 
 
 def test_run_prints_scores_and_where_the_results_are_and_repeats_nothing(run_mean, tmp_path):
-    output = rlbench(*run_mean, "--scores-only")
+    output = rlbench(*run_mean, "--times", "none")
     message = "4 cells measured, 0 already in the results, 0 skipped; results are in"
     assert f"{message} {tmp_path}/r" in output
     assert "PSNR" in output
-    assert "nothing to do: all 4 cells are in" in rlbench(*run_mean, "--scores-only")
+    assert "nothing to do: all 4 cells are in" in rlbench(*run_mean, "--times", "none")
     file = min((tmp_path / "r").glob("*.parquet"))
     file.write_bytes(file.read_bytes()[:-9])
-    output = rlbench(*run_mean, "--scores-only")
+    output = rlbench(*run_mean, "--times", "none")
     assert f"a damaged row file was set aside as {file}.damaged" in output
     assert "1 cells measured, 3 already in the results, 0 skipped" in output
 
 
 def test_scores_of_another_device_are_not_averaged_in(run_mean, tmp_path):
-    words = (*run_mean, "--spp", 1, "--scores-only")
+    words = (*run_mean, "--spp", 1, "--times", "none")
     rlbench(*words)
     own = table.read(tmp_path / "r")
     (cell,) = table.cells(tmp_path / "r")
@@ -58,10 +58,10 @@ def test_times_are_measured_again_without_scores(run_mean, tmp_path):
     words = (*run_mean, "--spp", 1, "--repeats", 1)
     rlbench(*words)
     before = scores(tmp_path / "r")
-    output = rlbench(*words, "--retime", "all")
+    output = rlbench(*words, "--times", "again")
     assert "0 cells measured, 0 already in the results, 0 skipped, 1 timed again" in output
     assert scores(tmp_path / "r") == before
-    output = rlbench(*words, "--spp", "1,7", "--retime", "all")
+    output = rlbench(*words, "--spp", "1,7", "--times", "again")
     assert "1 timed again, 1 without scores and not timed" in output
 
 
@@ -82,8 +82,8 @@ def test_uncertain_times_are_marked_and_can_be_measured_again(run_mean, tmp_path
     assert "│ 10.00 ±25 % │" in output
     assert "1 row has uncertain times, marked ±: busy" in output
     words = ("run", "--config", tmp_path / "r" / "run.toml", "--out", tmp_path / "r")
-    assert shlex.join([str(word) for word in (*words, "--retime", "uncertain")]) in output
-    assert "1 timed again" in rlbench(*words, "--retime", "uncertain")
+    assert shlex.join([str(word) for word in (*words, "--times", "uncertain")]) in output
+    assert "1 timed again" in rlbench(*words, "--times", "uncertain")
     (row,) = table.read(tmp_path / "r").query("metric == 'inference_ms'").to_dict("records")
     assert row["value"] != 10.0
 
@@ -91,7 +91,7 @@ def test_uncertain_times_are_marked_and_can_be_measured_again(run_mean, tmp_path
 def test_clips_of_a_scene_are_selected_together_or_one_by_one(tmp_path):
     for name in ("attic", "attic-cut", "foyer"):
         write_noise(tmp_path / "clips" / name, name.partition("-")[0])
-    words = ("run", "-m", "mean", "--clips", tmp_path / "clips", "--spp", 1, "--scores-only")
+    words = ("run", "-m", "mean", "--clips", tmp_path / "clips", "--spp", 1, "--times", "none")
     rlbench(*words, "--out", tmp_path / "both", "--scenes", "attic")
     rlbench(*words, "--out", tmp_path / "one", "--scenes", "attic-cut")
     assert set(table.read(tmp_path / "both")["clip"]) == {"attic", "attic-cut"}
@@ -99,7 +99,7 @@ def test_clips_of_a_scene_are_selected_together_or_one_by_one(tmp_path):
 
 
 def test_only_the_first_frames_are_run_on_request(run_mean, tmp_path):
-    words = (*run_mean, "--spp", 1, "--scores-only")
+    words = (*run_mean, "--spp", 1, "--times", "none")
     rlbench(*words, "--limit-frames", 2)
     assert set(table.read(tmp_path / "r")["frame"]) == {-1, 0, 1}
     output = rlbench(*words, "--limit-frames", 1)
@@ -121,8 +121,9 @@ def test_only_the_first_frames_are_run_on_request(run_mean, tmp_path):
         (("--takes", "some"), "'some' is not one of 'main', 'all'"),
         (("--engine", "steam"), "error: --engine steam: no such engine; available: local"),
         (("--weights", "none.safetensors"), "file 'none.safetensors' does not exist"),
+        (("--times", "newest"), "'newest' is not one of 'missing', 'uncertain', 'again', 'none'"),
         (("--limit-frames", 0), "Invalid value for '--limit-frames'"),
-        (("--retime", "all", "--keep-images"), "error: --retime measures times alone"),
+        (("--times", "again", "--keep-images"), "error: --times again: it measures times alone"),
         (("--out", __file__), "Invalid value for '--out'"),
     ],
 )
@@ -138,7 +139,7 @@ def test_wrong_use_of_run_is_one_message(clip_folder, tmp_path, words, message):
 def test_a_plugin_file_is_run(clip_folder, tmp_path):
     plugin = write_plugin(tmp_path / "mine.py", "mine")
     words = ("--plugin", plugin, "--clips", clip_folder, "--out", tmp_path / "r", "--spp", 1)
-    rlbench("run", "-m", "mine,mean", "-m", "mine/*", "--scores-only", *words)
+    rlbench("run", "-m", "mine,mean", "-m", "mine/*", "--times", "none", *words)
     assert set(table.read(tmp_path / "r")["method"]) == {"mine", "mine/B1", "mean"}
 
 
@@ -146,7 +147,7 @@ def test_a_run_with_a_failed_cell_fails_and_names_it_in_its_last_line(clip_folde
     plugin = write_plugin(tmp_path / "odd.py", "odd", body="raise RuntimeError('no luck')")
     words = ("--plugin", plugin, "--clips", clip_folder, "--out", tmp_path / "r", "--spp", "1,2")
     for _ in range(2):
-        output = rlbench("run", "-m", "odd,mean", "--scores-only", *words, code=1)
+        output = rlbench("run", "-m", "odd,mean", "--times", "none", *words, code=1)
         assert "odd: no psnr on noise: RuntimeError: no luck" in output
         assert output.endswith(
             "FAILED: 2 cells stopped by an error (odd on noise at 1 spp, seed 0, odd on noise at "
@@ -159,7 +160,7 @@ def test_a_run_with_an_image_that_is_not_finite_fails_each_time(clip_folder, tmp
     body = f"return samples.mean * float({value!r}), None"
     plugin = write_plugin(tmp_path / "odd.py", "odd", body=body)
     words = ("--plugin", plugin, "--clips", clip_folder, "--out", tmp_path / "r", "--spp", 1)
-    words = (*words, "--scores-only")
+    words = (*words, "--times", "none")
     for message in ("2 cells measured", "nothing to do"):
         output = rlbench("run", "-m", "odd,mean", *words, code=1)
         assert message in output
@@ -170,14 +171,14 @@ def test_a_run_with_an_image_that_is_not_finite_fails_each_time(clip_folder, tmp
 
 
 def test_a_budget_that_a_method_does_not_support_is_no_failure(run_mean):
-    output = rlbench(*run_mean, "-m", "eaw", "--spp", "0.5,1", "--scores-only")
+    output = rlbench(*run_mean, "-m", "eaw", "--spp", "0.5,1", "--times", "none")
     assert "1 skipped" in output
     assert output.endswith("passed: no cell failed, all images are finite")
 
 
 def test_a_run_without_any_number_fails_again_when_it_is_repeated(clip_folder, tmp_path):
     words = ("run", "-m", "eaw", "--clips", clip_folder, "--out", tmp_path / "r", "--spp", 0.5)
-    words = (*words, "--scores-only")
+    words = (*words, "--times", "none")
     assert "1 skipped" in rlbench(*words, code=1)
     assert "nothing to do" in rlbench(*words, code=1)
 
@@ -237,7 +238,7 @@ METRIC = Metric("worst_pixel", "", "lower", "linear", score)
 def test_a_metric_in_one_file_is_scored_by_run_and_evaluate(run_mean, tmp_path):
     file = tmp_path / "worst.py"
     file.write_text(METRIC)
-    words = ("--plugin", file, "--spp", 1, "--scores-only")
+    words = ("--plugin", file, "--spp", 1, "--times", "none")
     rlbench(*run_mean, *words, "--keep-images")
     rows = table.read(tmp_path / "r").query("metric == 'worst_pixel'")
     assert rows["value"].gt(0).all()
@@ -251,7 +252,7 @@ def test_a_metric_in_one_file_is_scored_by_run_and_evaluate(run_mean, tmp_path):
 
 
 def test_a_run_writes_its_options_and_another_reads_them(run_mean, tmp_path):
-    rlbench(*run_mean, "--spp", 1, "--limit-frames", 1, "--scores-only")
+    rlbench(*run_mean, "--spp", 1, "--limit-frames", 1, "--times", "none")
     config = tmp_path / "r" / "run.toml"
     assert "limit-frames = 1" in config.read_text()
     words = ("run", "--config", config, "--out", tmp_path / "r")
@@ -279,7 +280,7 @@ def test_a_config_of_somebody_else_runs_no_code_and_writes_nowhere_else(run_mean
 
 def test_weights_of_one_method_are_not_given_to_others(clip_folder, tmp_path):
     file = shipped_weights("ours/A1")
-    words = ("--clips", clip_folder, "--spp", 1, "--out", tmp_path / "r", "--scores-only")
+    words = ("--clips", clip_folder, "--spp", 1, "--out", tmp_path / "r", "--times", "none")
     rlbench("run", "-m", "ours/A1,oidn/tuned", "--weights", f"ours/A1={file}", *words)
     assert set(table.read(tmp_path / "r")["method"]) == {"ours/A1@A1", "oidn/tuned"}
     output = rlbench("run", "-m", "ours", "--weights", f"ours/A1={file}", *words, code=2)
@@ -288,7 +289,7 @@ def test_weights_of_one_method_are_not_given_to_others(clip_folder, tmp_path):
 
 @pytest.mark.parametrize("name", ["res[/x]", "res[bold]"])
 def test_a_folder_in_brackets_is_a_name(run_mean, tmp_path, name):
-    words = (*run_mean[:-1], tmp_path / name, "--spp", 1, "--scores-only")
+    words = (*run_mean[:-1], tmp_path / name, "--spp", 1, "--times", "none")
     written = "".join(rlbench(*words).split())  # a long path is wrapped
     assert "".join(f"results are in {tmp_path / name}".split()) in written
     assert name in "".join(rlbench(*words).split())

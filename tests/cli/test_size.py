@@ -10,7 +10,7 @@ def test_a_run_at_a_size_renders_it_and_its_file_of_options_repeats_it(tmp_path)
     words = ("run", "--out", tmp_path / "r")
     rlbench(
         *(*words, "-m", "mean", "--preset", "tiny", "--scenes", "temple", "--size", "32x24"),
-        *("--spp", 1, "--scores-only"),
+        *("--spp", 1, "--times", "none"),
     )
     rows = table.read(tmp_path / "r")
     assert set(rows["size"]) == {"32x24"}

@@ -134,7 +134,7 @@ def test_a_quick_training_renders_nothing_and_its_card_and_rows_say_so(tmp_path,
     weights = out / "blur-quick" / "blur.safetensors"
     assert read_card(weights).note.startswith("quick: trained on procedural clips")
     assert [clip.split()[0] for clip in read_card(weights).data] == ["procedural-0"]
-    words = ("--weights", weights, "--spp", 1, "--scores-only", "--out", tmp_path / "r")
+    words = ("--weights", weights, "--spp", 1, "--times", "none", "--out", tmp_path / "r")
     clip = write_world(tmp_path / "clips" / "world", seed=5)
     output = rlbench("run", "-m", "blur", *plugin, "--clips", clip, *words)
     assert "blur: quick: trained on procedural clips, to try the training, not" in output

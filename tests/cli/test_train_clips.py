@@ -52,7 +52,7 @@ def test_own_clips_become_weights_that_are_measured(shots, tmp_path):
     card = read_card(weights)
     clips = [open_clip(shots / f"shot-{number}") for number in range(4)]
     assert list(card.data) == [f"{clip.name} {clip.digest[:12]}" for clip in clips]
-    words = ("--plugin", tmp_path / "blur.py", "--weights", weights, "--spp", 1, "--scores-only")
+    words = ("--plugin", tmp_path / "blur.py", "--weights", weights, "--spp", 1, "--times", "none")
     words += ("--clips", shots / "shot-0", "--out", tmp_path / "r")
     assert "1 cells measured" in rlbench("run", "-m", "blur", *words)
 

@@ -53,7 +53,7 @@ STAGES = (
         ("rlbench.clips.stored", "StoredClip.frame"),
         ("rlbench.clips.stored", "StoredClip._half_reference"),
         ("rlbench.benchmark.clip_sources", "open_clip"),
-        ("rlbench.benchmark.api", "select_clips"),
+        ("rlbench.benchmark.planning", "select_clips"),
     )),
     Stage("hashes of content", "suite", (("rlbench.benchmark.content_hash", "CellIds.cell_id"),)),
     Stage("reading and writing results", "suite", (

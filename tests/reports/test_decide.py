@@ -171,7 +171,9 @@ def test_the_uncertain_time_of_a_clips_sample_does_not_matter_to_a_given_one():
 
 
 def test_strict_refuses_what_uncertain_times_leave_open():
-    with pytest.raises(ReportError, match="--strict.* slow .*the machine was busy.*--retime"):
+    with pytest.raises(
+        ReportError, match="--strict.* slow .*the machine was busy.*--times uncertain"
+    ):
         decide(doubt(table(THREE), "slow"), sample_ms=2.0, frame_ms=11.0, strict=True)
 
 

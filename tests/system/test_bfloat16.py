@@ -109,7 +109,7 @@ def test_a_worker_that_emulates_bfloat16_gives_the_reason_instead_of_a_time(
 
 def test_bf16_is_not_refused_where_nothing_runs_in_it(use_processor, clip_folder, tmp_path):
     use_processor("Zen 3")
-    words = ("run", "-m", "mean", "--clips", clip_folder, "--spp", 1, "--scores-only")
+    words = ("run", "-m", "mean", "--clips", clip_folder, "--spp", 1, "--times", "none")
     rlbench(*words, "--bf16", "--out", tmp_path / "r")
 
 

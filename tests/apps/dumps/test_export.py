@@ -88,7 +88,7 @@ def test_intels_own_program_scores_as_our_row_of_its_weights(clip, tmp_path, row
         denoise(tmp_path / "out", f"{index:04}", images)
     found = find_foreign_images(images, [StoredSource(clip)])
     score_foreign_images(Claim("theirs", 1.0), found, tmp_path / "r")
-    measure(run_plan(clip, row), tmp_path / "r", scores_only=True)
+    measure(run_plan(clip, row), tmp_path / "r", times="none")
     rows = table.read(tmp_path / "r").query("metric == 'psnr' and frame >= 0")
     ours, theirs = (rows[rows["method"] == name].set_index("frame") for name in (row, "theirs"))
     assert ours["value"].to_numpy() == pytest.approx(theirs["value"].to_numpy(), abs=ROUNDING_DB)

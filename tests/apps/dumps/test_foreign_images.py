@@ -40,7 +40,7 @@ def measured(tmp_path_factory) -> Path:
             run_plan(clip, "mean", "eaw", spp=(1.0, 2.0)),
             folder / "r",
             keep_images=True,
-            scores_only=True,
+            times="none",
         )
     return folder
 

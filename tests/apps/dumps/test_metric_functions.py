@@ -82,9 +82,7 @@ def test_tensors_arrays_files_and_batches_have_the_same_values(pair, tmp_path):
 def test_values_are_those_of_the_rows_of_a_run(tmp_path):
     """Every metric of a run, those of motion and of counts too; a row holds float32."""
     clip = rlbench.open_clip(write_noise(tmp_path / "noise", h=24, w=32, frames=4))
-    rows = rlbench.run(
-        "mean", clips=clip.arrays.folder, spp=2, out=tmp_path / "r", scores_only=True
-    )
+    rows = rlbench.run("mean", clips=clip.arrays.folder, spp=2, out=tmp_path / "r", times="none")
     results = list(rlbench.run_clip(rlbench.load_method("mean"), clip, spp=2.0))
     frames = [result.frame for result in results]
     options = {

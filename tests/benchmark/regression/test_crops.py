@@ -31,7 +31,7 @@ def clip(tmp_path):
 
 @pytest.fixture
 def table(clip, tmp_path):
-    measure(RunPlan(("mean",), (clip,), (1.0,)), tmp_path / "r", scores_only=True)
+    measure(RunPlan(("mean",), (clip,), (1.0,)), tmp_path / "r", times="none")
     return results.read(tmp_path / "r")
 
 

@@ -34,7 +34,7 @@ class Kept:
 @pytest.fixture(scope="session")
 def kept(tmp_path_factory) -> Kept:
     folder = tmp_path_factory.mktemp("kept")
-    run_with_images(folder, METHODS, [1], CUT, scores_only=True)
+    run_with_images(folder, METHODS, [1], CUT, times="none")
     with pytest.MonkeyPatch.context() as patch:
         patch.setenv("RLBENCH_CACHE", str(folder / "cache"))
         rows = read(folder / "results")

@@ -144,7 +144,7 @@ def denoise(
     from rlbench import registry
     from rlbench.apps.dumps.denoising.shot import denoise_sequence
     from rlbench.apps.dumps.importers.sequence import parse_frame_range
-    from rlbench.benchmark.api import select_device
+    from rlbench.benchmark.planning import select_device
     from rlbench.cli import console
     from rlbench.system.paths import check_writable
 

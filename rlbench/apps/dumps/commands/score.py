@@ -141,7 +141,7 @@ def score(
     if device and ms is None:
         raise OptionError(f"--device {device}: there is no time of it; add --ms, or omit it")
     from rlbench.apps.dumps.foreign_images import Claim, check_name
-    from rlbench.benchmark.api import select_clips
+    from rlbench.benchmark.planning import select_clips
     from rlbench.system.paths import check_writable
 
     check_name(name)

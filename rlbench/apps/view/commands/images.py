@@ -7,6 +7,7 @@ from typing import Annotated
 
 import typer
 
+from rlbench.benchmark.run_options import RunOptions
 from rlbench.cli import options
 from rlbench.cli.arguments import Budgets, WeightsChoice, split_names
 from rlbench.cli.methods import (
@@ -15,7 +16,7 @@ from rlbench.cli.methods import (
     require_methods,
     warn_without_networks,
 )
-from rlbench.cli.options import CLIPS, MEASUREMENT, folder, option
+from rlbench.cli.options import CLIPS, MEASUREMENT, fill, folder, option
 
 ONE_SPP = Budgets((1.0,))
 
@@ -53,25 +54,22 @@ def images(
     load_rows(context, plugin, require_methods(methods))
     names = expand_methods(methods)  # before torch
     chosen = (weights or WeightsChoice()).for_methods(names)
-    from rlbench.benchmark.api import plan_run
     from rlbench.benchmark.frame_images import ImagesError, write_images
+    from rlbench.benchmark.planning import plan_run
     from rlbench.cli import console
 
     warn_without_networks(names, bf16, chosen)
     plan = plan_run(
-        names,
-        out,
-        spp=spp,
-        scenes=split_names(scenes),
-        preset=preset,
-        takes=takes,
-        clips=clips,
-        seeds=(seed,),
-        device=device,
-        weights=chosen.file,
-        weights_label=chosen.label,
-        weights_for=chosen.methods,
-        bf16=bf16,
+        fill(
+            RunOptions,
+            context,
+            methods=names,
+            scenes=split_names(scenes),
+            seeds=(seed,),
+            weights=chosen.file,
+            weights_label=chosen.label,
+            weights_for=chosen.methods,
+        )
     )
     with console.measuring(plan) as bar:
         sheets = list(write_images(plan, frame, out, bar.on_cell))

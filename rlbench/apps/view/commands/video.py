@@ -7,10 +7,11 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from rlbench.api import select_methods
 from rlbench.cli import options
 from rlbench.cli.arguments import Crop, parse_crop, split_names
 from rlbench.cli.options import OUTPUT, flag, folder, number, option
-from rlbench.cli.selection import find_sources, read_rows, select_methods
+from rlbench.cli.selection import find_sources, read_rows
 
 if TYPE_CHECKING:
     import pandas as pd

@@ -252,7 +252,7 @@ def test_a_live_pool_holds_more_samples_than_are_stored_and_the_stored_ones_come
 
 
 def test_more_samples_than_are_stored_are_measured_live(folder, tmp_path):
-    folders = {"clips": [folder], "pool": "live", "out": tmp_path / "r", "scores_only": True}
+    folders = {"clips": [folder], "pool": "live", "out": tmp_path / "r", "times": "none"}
     rows = rlbench.run(["mean"], spp=[4, 16], **folders)
     mean = rows[rows["metric"] == "psnr"].groupby("target_spp")[["value", "mean_spp"]].mean()
     assert mean["mean_spp"].to_dict() == {4.0: 4.0, 16.0: 16.0}
@@ -269,7 +269,7 @@ def test_a_live_pool_leaves_room_for_a_density_that_varies(folder):
 @pytest.mark.slow
 def test_the_command_measures_more_samples_live_than_a_preset_stores(llvm, tmp_path):
     words = ("--preset", "tiny", "--scenes", "temple", "--spp", 16, "--out", tmp_path / "r")
-    output = run_command("run", "-m", "mean", "--pool", "live", "--scores-only", *words)
+    output = run_command("run", "-m", "mean", "--pool", "live", "--times", "none", *words)
     assert "1 cells measured" in output
 
 

@@ -26,7 +26,7 @@ def run_folder(tmp_path_factory) -> Path:
     with pytest.MonkeyPatch.context() as patch:
         patch.setenv("RLBENCH_CACHE", str(folder / "cache"))
         clip = write_world(folder / "alpha", side=SIDE, frames=FRAMES)
-        options = {"spp": [1], "clips": [clip], "keep_images": True, "scores_only": True}
+        options = {"spp": [1], "clips": [clip], "keep_images": True, "times": "none"}
         rlbench.run(METHODS, **options, out=folder / "results")
     return folder
 
