@@ -16,7 +16,6 @@ from rlbench.training.task import TrainingConfig
 
 
 def crossval(
-    context: typer.Context,
     methods: options.Methods = None,
     plugin: options.Plugins = None,
     preset: options.Preset = "mini",
@@ -60,7 +59,7 @@ def crossval(
     from rlbench.cli import crossval_folds as protocol
 
     frames = frames or options.DEFAULT_FRAMES
-    config = fill(TrainingConfig, context, frames=frames, spp=train_spp)
+    config = fill(TrainingConfig, locals(), frames=frames, spp=train_spp)
     runs = training_runs(out, config, device, minutes, allow_config_change)
     runs.check([name for name in map(protocol.variant_to_train, names) if name])
     results = out / "results"

@@ -7,7 +7,7 @@ A command lists its options in the order of their importance: `-h` shows the fir
 from __future__ import annotations
 
 import inspect
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Mapping
 from pathlib import Path
 from typing import Annotated, Any, Literal, TypeVar
 
@@ -31,11 +31,10 @@ Complete = Callable[[str], list[str]]
 T = TypeVar("T")
 
 
-def fill(record: Callable[..., T], context: typer.Context, **others: Any) -> T:
-    """A record whose fields are options of the same names, but for `others`."""
+def fill(record: Callable[..., T], options: Mapping[str, Any], **others: Any) -> T:
+    """A record whose fields are options of a command (its `locals()`), but for `others`."""
     names = inspect.signature(record).parameters
-    given = {name: value for name, value in context.params.items() if name in names}
-    return record(**given | others)
+    return record(**{name: options[name] for name in names if name in options} | others)
 
 
 def option(

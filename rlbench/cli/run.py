@@ -78,9 +78,10 @@ def run(
         Times,
         option(
             MEASUREMENT,
-            "measure times that are missing; or of cells that have scores, and no scores: those "
-            "that are uncertain, the clips' time of a sample too, or all again; or none, and a "
-            "later run, on a quiet machine, adds them",
+            "missing: what the results lack; uncertain: such times again, the clips' time of a "
+            "sample too, and no scores; again: all times, and no scores; none: a later run, on a "
+            "quiet machine, adds them",
+            value="TIMES",
         ),
     ] = "missing",
     limit_frames: options.LimitFrames = None,
@@ -158,7 +159,7 @@ def run(
         plan = plan_run(
             fill(
                 RunOptions,
-                context,
+                locals(),
                 methods=names,
                 scenes=split_names(scenes),
                 seeds=seeds,

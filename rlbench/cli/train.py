@@ -215,7 +215,7 @@ def train(
     limit = TimeLimit(math.inf if minutes is None else minutes)
     config = fill(
         TrainingConfig,
-        context,
+        locals(),
         frames=frames or (QUICK_FRAMES if quick else options.DEFAULT_FRAMES),
         spp=train_spp,
         mix=_mix_share(mix, preset, seeds, clips),

@@ -2,16 +2,44 @@
 
 from __future__ import annotations
 
+import inspect
+from dataclasses import fields
 from pathlib import Path
 
 import pytest
 import typer
 
 from rlbench import registry
+from rlbench.benchmark.run_options import RunOptions
 from rlbench.cli import arguments
 from rlbench.cli.arguments import WeightsChoice
+from rlbench.cli.crossval import crossval
 from rlbench.cli.methods import expand_methods
+from rlbench.cli.run import run
+from rlbench.cli.train import train
 from rlbench.cli.verbosity import set_verbosity
+from rlbench.training import TrainingConfig
+
+
+@pytest.mark.parametrize(
+    ("command", "record", "lacks"),
+    [  # what a command fills in itself
+        (run, RunOptions, {"executor", "on_cell", "seeds", "weights_for", "weights_label"}),
+        (train, TrainingConfig, {"ema_decay", "sequence_length", "spp"}),
+        (
+            crossval,
+            TrainingConfig,
+            {"anchor", "anneal", "ema_decay", "eval_interval", "keep", "mix", "sequence_length"},
+        ),
+    ],
+)
+def test_a_command_has_the_options_of_its_record_and_their_defaults(command, record, lacks):
+    options = inspect.signature(command).parameters
+    assert {each.name for each in fields(record)} - options.keys() == lacks
+    known = {each.name: each.default for each in fields(record)}
+    defaults = {name: each.default for name, each in options.items() if name in known}
+    others = {name for name, value in defaults.items() if value not in (None, known[name])}
+    assert others == ({"spp"} if command is crossval else set())  # its --spp is that of the scores
 
 
 @pytest.mark.parametrize(

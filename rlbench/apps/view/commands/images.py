@@ -62,7 +62,7 @@ def images(
     plan = plan_run(
         fill(
             RunOptions,
-            context,
+            locals(),
             methods=names,
             scenes=split_names(scenes),
             seeds=(seed,),
