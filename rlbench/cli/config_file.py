@@ -7,7 +7,7 @@ keep-images = true
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping
+from collections.abc import Collection, Iterable, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -48,14 +48,15 @@ def check_trusted(context: Any, file: Path | None, allow_plugins: bool) -> None:
     if file is None:
         return
     values = documents.read_toml(file)
-    own = [name for name in values if _runs_code(name, values) and _is_of_file(context, name)]
+    values = {name: values[name] for name in values if _source(context, name) == "DEFAULT_MAP"}
+    own = [name for name in values if _runs_code(name, values)]
     if own and not allow_plugins:
         found = "; ".join(f"{name} = {values[name]!r}" for name in own)
         raise OptionError(
             f"--config {file}: {found} runs code, and the file may be from somebody else. If you "
             "trust it, add --allow-plugins"
         )
-    if "out" in values and _is_of_file(context, "out"):
+    if "out" in values:
         out = Path(str(values["out"]))
         if not out.resolve().is_relative_to(Path.cwd().resolve()):
             raise OptionError(
@@ -67,11 +68,6 @@ def check_trusted(context: Any, file: Path | None, allow_plugins: bool) -> None:
 def _runs_code(name: str, values: Mapping[str, Any]) -> bool:
     """True for an option by which others run code here: a plugin file, a cluster's address."""
     return name == "plugin" or (name == "engine" and "=" in str(values[name]))
-
-
-def _is_of_file(context: Any, option: str) -> bool:
-    source = context.get_parameter_source(option.replace("-", "_"))
-    return source is not None and source.name == "DEFAULT_MAP"
 
 
 def _as_words(value: Any, parameter: Any) -> Any:
@@ -87,15 +83,21 @@ def write(context: Any, file: Path, left_out: Collection[str] = ()) -> None:
     given = {
         each.opts[0].removeprefix("--"): _as_toml(context.params[each.name])
         for each in context.command.params
-        if each.name not in (*LEFT_OUT, *left_out) and _is_given(context, each.name)
+        if each.name not in (*LEFT_OUT, *left_out) and _source(context, each.name) != "DEFAULT"
     }
     documents.write_toml(file, given)
 
 
 def is_typed(context: Any, name: str) -> bool:
     """True if an option stands on the command line, not in the file alone."""
-    source = context.get_parameter_source(name)
-    return source is not None and source.name == "COMMANDLINE"
+    return _source(context, name) == "COMMANDLINE"
+
+
+def refuse_typed(context: Any, names: Iterable[str], of_what: str) -> None:
+    """Raise OptionError for an option on the command line that is for something else."""
+    if given := [name for name in names if is_typed(context, name)]:
+        option = given[0].removeprefix("as_").replace("_", "-")
+        raise OptionError(f"--{option} is for {of_what}. Omit it")
 
 
 def _as_toml(value: Any) -> Any:
@@ -108,6 +110,7 @@ def _as_toml(value: Any) -> Any:
     return str(value) if isinstance(value, Path) else value
 
 
-def _is_given(context: Any, name: str) -> bool:
-    source = context.get_parameter_source(name)
-    return source is not None and source.name in ("COMMANDLINE", "DEFAULT_MAP", "ENVIRONMENT")
+def _source(context: Any, name: str) -> str:
+    """Where an option's value is from: COMMANDLINE, DEFAULT_MAP, which is the file, or DEFAULT."""
+    source = context.get_parameter_source(name.replace("-", "_"))
+    return source.name if source else "DEFAULT"

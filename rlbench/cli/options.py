@@ -26,6 +26,7 @@ DEFAULT_SPP = Budgets(run_options.DEFAULT_SPP)
 DEFAULT_SEEDS = Seeds((0,))
 DEFAULT_TRAIN_SPP = Budgets(())  # those of the method
 DEFAULT_FRAMES = TrainingConfig.frames
+SHIPPED = WeightsChoice()
 
 Complete = Callable[[str], list[str]]
 T = TypeVar("T")
@@ -140,13 +141,14 @@ Plugins = Annotated[
     ),
 ]
 Weights = Annotated[
-    WeightsChoice | None,
+    WeightsChoice,
     option(
         METHODS,
         "trained weights: METHOD=FILE of one method, FILE of all, NAME=FILE for rows METHOD@NAME; "
         "or random; default: the shipped weights",
         value="[NAME=]FILE",
         parse=arguments.parse_weights,
+        show_default=False,
     ),
 ]
 Bf16 = Annotated[bool, flag(METHODS, "--bf16", "run networks in bfloat16, for rows METHOD@bf16")]

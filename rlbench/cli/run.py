@@ -9,7 +9,7 @@ import typer
 
 from rlbench.benchmark.run_options import AGAIN, RunOptions, Times
 from rlbench.cli import config_file, options
-from rlbench.cli.arguments import Seeds, WeightsChoice, parse_seeds, split_names
+from rlbench.cli.arguments import Seeds, parse_seeds, split_names
 from rlbench.cli.methods import expand_methods, load_plugins, load_rows, warn_without_networks
 from rlbench.cli.options import EXECUTION, MEASUREMENT, METHODS, OUTPUT, fill, flag, folder, option
 from rlbench.cli.verbosity import note
@@ -39,7 +39,7 @@ def run(
         ),
     ] = False,
     as_json: options.Json = False,
-    weights: options.Weights = None,
+    weights: options.Weights = options.SHIPPED,
     bf16: options.Bf16 = False,
     backend: options.Backend = "eager",
     skip_tiles: Annotated[
@@ -144,7 +144,7 @@ def run(
     if times == "none":
         wait_asleep()  # before a plugin imports torch
     names = _select_methods(context, plugin, methods)  # before torch
-    chosen = (weights or WeightsChoice()).for_methods(names)
+    chosen = weights.for_methods(names)
     from rlbench.benchmark.planning import plan_run
     from rlbench.benchmark.run_outcome import read_outcome
     from rlbench.benchmark.runner import check_times, measure

@@ -8,7 +8,7 @@ from typing import Annotated
 import typer
 
 from rlbench.cli import options
-from rlbench.cli.arguments import WeightsChoice, split_names
+from rlbench.cli.arguments import split_names
 from rlbench.cli.methods import load_rows
 from rlbench.cli.options import EXECUTION, flag, folder, option
 
@@ -24,7 +24,7 @@ def stress(
         bool, flag(None, "--quick", "shorter clips and fewer tests, seconds per method")
     ] = False,
     plugin: options.Plugins = None,
-    weights: options.Weights = None,
+    weights: options.Weights = options.SHIPPED,
     device: options.Device = "cpu",
     restart: Annotated[
         bool, flag(EXECUTION, "--restart", "run again what the output folder holds")
@@ -63,8 +63,7 @@ def stress(
 
     target = select_device(device)
     check_writable(out)
-    chosen = weights or WeightsChoice()
     has_passed = stress_methods(
-        names, split_names(only), quick, target, out, restart, weights=chosen.files_of
+        names, split_names(only), quick, target, out, restart, weights=weights.files_of
     )
     raise typer.Exit(0 if has_passed else 1)

@@ -119,7 +119,7 @@ def denoise(
         ),
     ] = None,
     plugin: options.Plugins = None,
-    weights: options.Weights = None,
+    weights: options.Weights = options.SHIPPED,
     device: options.Device = "auto",
 ) -> None:
     """Denoise an animation or one image that another renderer wrote.
@@ -163,9 +163,8 @@ def denoise(
         is_static=static,
         passes=[name.strip() for name in also.split(",")] if also else (),
     )
-    file = weights.file if weights else None
-    label = f"{method} with {file}" if file else method
-    loaded = registry.load_method(method, chosen, file)
+    label = f"{method} with {weights.file}" if weights.file else method
+    loaded = registry.load_method(method, chosen, weights.file)
     for note in (*_notes(method, shots[0]), *_check_memory(method, loaded, shots)):
         typer.echo(f"note: {note}")
     with console.counting("denoising", sum(map(len, shots))) as on_frame:

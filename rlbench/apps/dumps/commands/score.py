@@ -10,7 +10,7 @@ import typer
 
 from rlbench.cli import options
 from rlbench.cli.arguments import split_names
-from rlbench.cli.config_file import is_typed
+from rlbench.cli.config_file import refuse_typed
 from rlbench.cli.list_ import FILE_WIDTH
 from rlbench.cli.methods import load_plugins
 from rlbench.cli.options import MEASUREMENT, flag, number, option
@@ -127,12 +127,12 @@ def score(
     from rlbench.clips.linear_images import ENCODINGS
 
     if folder.is_file() or folder.suffix.lower() in ENCODINGS and not folder.is_dir():
-        _refuse(context, OF_FOLDERS, "folders of images")
+        refuse_typed(context, OF_FOLDERS, "folders of images")
         load_plugins(plugin)
         pair = Path(name), folder
         _compare_files(*pair, split_names(metrics), convention, exposure, layer, as_json)
         return
-    _refuse(context, OF_FILES, "two image files")
+    refuse_typed(context, OF_FILES, "two image files")
     if spp is None:
         raise OptionError(
             f"--spp is needed for a folder of images such as {folder}: samples per pixel that each "
@@ -148,13 +148,6 @@ def score(
     check_writable(out)
     sources = select_clips(clips, split_names(scenes), preset, takes)
     _add_rows(Claim(name, spp, ms, device, exposed), folder, sources, samples, out)
-
-
-def _refuse(context: typer.Context, names: tuple[str, ...], of_what: str) -> None:
-    """Raise OptionError for options of the other form."""
-    if given := [name for name in names if is_typed(context, name)]:
-        option_name = given[0].removeprefix("as_").replace("_", "-")
-        raise OptionError(f"--{option_name} is for {of_what}. Omit it")
 
 
 def _add_rows(

@@ -17,7 +17,8 @@ from rlbench.cli.arguments import (
     parse_size,
     split_names,
 )
-from rlbench.cli.options import CLIPS, flag, number, option
+from rlbench.cli.config_file import refuse_typed
+from rlbench.cli.options import CLIPS, fill, flag, number, option
 from rlbench.errors import OptionError
 
 if TYPE_CHECKING:
@@ -228,18 +229,13 @@ def render(
         from rlbench.apps.render.user.clip import UserSceneOptions
         from rlbench.clips.presets import get_preset
 
-        scene = UserSceneOptions(
-            file=file,
+        scene = fill(
+            UserSceneOptions,
+            locals(),
             camera=camera or "",
-            frames=frames,
-            size=size,
-            exposure=exposure,
             parameters=tuple(define or ()),
-            out=out,
             seed=seeds[0] if seeds else None,
-            skip_missing=skip_missing,
             sky=sky or "",
-            limit_frames=limit_frames,
         )
         for clip in _each_seed(scene, seeds or Seeds(())):
             typer.echo(_render_clip(clip, get_preset(preset, size), tracer, executor))
@@ -252,10 +248,9 @@ def _refuse_options_of_the_other(context: typer.Context, file: Path | None) -> N
             f"there is no scene file '{file}'. Scenes of a preset are named by --scenes",
             param_hint="'FILE'",
         )
-    other, of_what = (OF_FILES, "a scene FILE") if file is None else (OF_PRESETS, "presets")
-    given = [name for name in other if context.params[name]]
-    if given:
-        raise OptionError(f"--{given[0].replace('_', '-')} is for {of_what}. Omit it")
+    refuse_typed(
+        context, *((OF_FILES, "a scene FILE") if file is None else (OF_PRESETS, "presets"))
+    )
 
 
 def _digest(folder: Path) -> str:

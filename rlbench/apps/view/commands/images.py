@@ -9,7 +9,7 @@ import typer
 
 from rlbench.benchmark.run_options import RunOptions
 from rlbench.cli import options
-from rlbench.cli.arguments import Budgets, WeightsChoice, split_names
+from rlbench.cli.arguments import Budgets, split_names
 from rlbench.cli.methods import (
     expand_methods,
     load_rows,
@@ -31,7 +31,7 @@ def images(
     frame: Annotated[int, option(CLIPS, "index of the frame; -1: the last")] = -1,
     out: Annotated[Path, folder("folder to write to")] = Path("images"),
     plugin: options.Plugins = None,
-    weights: options.Weights = None,
+    weights: options.Weights = options.SHIPPED,
     bf16: options.Bf16 = False,
     takes: options.Takes = None,
     seed: Annotated[
@@ -53,7 +53,7 @@ def images(
     """
     load_rows(context, plugin, require_methods(methods))
     names = expand_methods(methods)  # before torch
-    chosen = (weights or WeightsChoice()).for_methods(names)
+    chosen = weights.for_methods(names)
     from rlbench.benchmark.frame_images import ImagesError, write_images
     from rlbench.benchmark.planning import plan_run
     from rlbench.cli import console
