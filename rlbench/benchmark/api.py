@@ -85,10 +85,11 @@ def run(
     they are missing; or those in the folders `clips`.
     `weights` is the path of a file or "random", whose rows are named `METHOD@weights_label`; None
     takes the shipped weights, as do methods that are not among `weights_for`, if it names any.
-    `backend` runs the networks: "eager" is PyTorch, "openvino" and
-    "compile" (torch.compile) are compilers, for rows `METHOD@openvino`, and "auto" takes OpenVINO
-    where it is installed. `skip_tiles` keeps unchanged tiles of methods with a receptive field, for
-    rows `METHOD@tiles`. `cost` is "measured", the name of a cost profile, or a TOML file.
+    `backend` runs the networks: "eager" is PyTorch, "openvino" and "compile" (torch.compile) are
+    compilers, for rows `METHOD@openvino`, "graph" records the stages of a frame as CUDA graphs, and
+    "auto" takes OpenVINO where it is installed. `skip_tiles` keeps unchanged tiles of methods with
+    a receptive field, for rows `METHOD@tiles`. `cost` is "measured", the name of a cost profile, or
+    a TOML file.
     Results are kept in the folder `out`; cells that it holds already are not measured again.
     `retime` measures the times of cells again whose scores are there, and no scores: those that are
     "uncertain", or "all"; `scores_only`
