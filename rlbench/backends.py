@@ -1,7 +1,8 @@
-"""Inference backends: what runs the networks of a method, PyTorch itself or a compiler.
+"""Inference backends: what runs a method or its networks, PyTorch, a compiler, or recorded graphs.
 
-A backend replaces the `forward` of each network of a method that was loaded for inference. The rest
-of the method, and what it computes, stay the same.
+A compiler replaces the `forward` of each network of a method that was loaded for inference; the
+rest of the method stays the same. `graph` records the whole stages of a frame for a GPU. What a
+method computes is the same with each.
 """
 
 from __future__ import annotations
@@ -17,19 +18,31 @@ import torch
 from torch import Tensor, nn
 
 from rlbench.errors import OptionError
+from rlbench.family import Traits
 from rlbench.method import Method
+from rlbench.recorded_method import RecordedMethod
 
 if TYPE_CHECKING:
     import openvino
 
-__all__ = ["BACKENDS", "EAGER", "find_networks", "require_backend", "select_backend", "use_backend"]
+__all__ = [
+    "BACKENDS",
+    "EAGER",
+    "applicable_backend",
+    "find_networks",
+    "require_backend",
+    "select_backend",
+    "use_backend",
+]
 
-EAGER, OPENVINO, COMPILE = BACKENDS = ("eager", "openvino", "compile")
+EAGER, OPENVINO, COMPILE, GRAPH = BACKENDS = ("eager", "openvino", "compile", "graph")
 AUTO = "auto"
 
 
 def select_backend(name: str, device: torch.device) -> str:
     """The backend that a name stands for: `auto` is OpenVINO on a processor that has it, or eager.
+
+    On a GPU it is eager: no GPU was at hand when `graph` was written.
 
     Raises OptionError for an unknown name, or where the backend cannot be used.
     """
@@ -53,18 +66,36 @@ def require_backend(name: str, device: torch.device) -> None:
         raise OptionError(
             f"--backend openvino runs on the processor, not on {device}; add --device cpu"
         )
+    if name == GRAPH and device.type != "cuda":
+        raise OptionError(
+            f"--backend graph records CUDA graphs, and cannot run on {device}; add --device cuda"
+        )
+
+
+def applicable_backend(name: str, traits: Traits, *, learned: bool, skips_tiles: bool) -> str:
+    """The backend that a row uses where `name` is asked for: eager if that one changes nothing.
+
+    Compilers run networks. Graphs have no answers: neither rows that ask (`Traits.eager_reason`)
+    nor skipped tiles are recorded.
+    """
+    if name == GRAPH:
+        return EAGER if traits.eager_reason or skips_tiles else GRAPH
+    return name if learned else EAGER
 
 
 def use_backend(method: Method, name: str, device: torch.device, bf16: bool = False) -> Method:
     """The method, whose networks run by a backend from now on; `eager` changes nothing.
 
     A network is compiled for each input size when it first sees it, which takes up to some seconds
-    (`openvino`) or a minute (`compile`). Outputs differ by rounding. `bf16` lets OpenVINO compute
+    (`openvino`) or a minute (`compile`). `graph` records `plan` and `denoise` for each size, see
+    `rlbench.recorded_method`. Outputs differ by rounding. `bf16` lets OpenVINO compute
     in bfloat16; with the other backends torch.autocast does (`rlbench.wrappers.HalfPrecision`).
 
     Raises OptionError as `require_backend` does.
     """
     require_backend(name, device)
+    if name == GRAPH:
+        return RecordedMethod(method)
     for network in find_networks(method):
         if name == OPENVINO:
             network.forward = OpenVinoForward(network, bf16)

@@ -10,10 +10,9 @@ So densities are not asked for, and the deviation of samples, which some rules r
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping
-from dataclasses import dataclass, field, fields, is_dataclass, replace
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass, field, replace
 from itertools import product
-from typing import Any
 
 import numpy as np
 import torch
@@ -38,8 +37,6 @@ __all__ = [
     "denoise_frame",
     "estimate_exposure",
     "estimate_memory",
-    "read_leaves",
-    "replace_leaves",
 ]
 
 DEFAULT_METHOD = "accumulate/intel"
@@ -48,7 +45,6 @@ TILE, OVERLAP = 2048, 128  # pixels: side of a tile, and what is seen around it;
 BLEND = 128  # pixels in which one tile takes over from the other
 FRAME_BYTES, METHOD_BYTES = 150, 1200  # of a pixel, about
 MAX_SLOTS = 8  # of the largest pool that methods were trained with
-Leaf = Tensor | bool | int | float | str | None
 
 
 class DenoiseError(RlbenchError, ValueError):
@@ -202,46 +198,6 @@ def estimate_exposure(means: Iterable[Float[Tensor, "3 h w"]]) -> float:
 def _peak(mean: Tensor) -> float:
     """The largest finite value."""
     return float(mean.nan_to_num(0, 0, 0).amax())
-
-
-def read_leaves(state: State, path: str = "state") -> Iterator[tuple[str, Leaf]]:
-    """The tensors and numbers in a state of dataclasses, tuples, lists and dicts, by their path.
-
-    Raises TypeError for any other object: the state cannot be written to a file then.
-    """
-    if state is None or isinstance(state, Tensor | bool | int | float | str):
-        yield path, state
-        return
-    for name, part in _parts(state).items():
-        yield from read_leaves(part, f"{path}.{name}")
-
-
-def replace_leaves(state: State, leaves: Mapping[str, Leaf], path: str = "state") -> State:
-    """A state of the structure of `state` with the leaves that `read_leaves` gave of another.
-
-    Raises LookupError where that one has another structure.
-    """
-    if state is None or isinstance(state, Tensor | bool | int | float | str):
-        return leaves[path]
-    parts = {
-        name: replace_leaves(part, leaves, f"{path}.{name}") for name, part in _parts(state).items()
-    }
-    if is_dataclass(state) and not isinstance(state, type):
-        return replace(state, **parts)
-    if isinstance(state, dict):
-        return dict(zip(state, parts.values(), strict=True))
-    return state._make(parts.values()) if hasattr(state, "_make") else type(state)(parts.values())
-
-
-def _parts(state: Any) -> dict[str, Any]:
-    """The parts of one object of a state, by name or index."""
-    if is_dataclass(state) and not isinstance(state, type):
-        return {each.name: getattr(state, each.name) for each in fields(state) if each.init}
-    if isinstance(state, dict):
-        return {str(name): part for name, part in state.items()}
-    if isinstance(state, tuple | list):
-        return {str(index): part for index, part in enumerate(state)}
-    raise TypeError(f"a state holds {type(state).__name__}, of which no part is known")
 
 
 def _refusal(name: str) -> str | None:

@@ -13,8 +13,9 @@ from torch import Tensor
 
 from rlbench.errors import RlbenchError
 from rlbench.frames import Pool, Samples
-from rlbench.ops.asking import may_ask
+from rlbench.ops.asking import is_recorded, may_ask
 from rlbench.ops.dither import ONE_SHARE, round_to_total
+from rlbench.ops.recording import RecordedFunction
 from rlbench.questions import Questions
 
 __all__ = ["BudgetError", "allocate_counts", "draw_pilot", "draw_samples"]
@@ -119,12 +120,23 @@ def allocate_counts(
         total = total.clamp(low.sum((1, 2), True), high.sum((1, 2), True))
     elif (share := _equal_share(Demand(*answers), low[0].numel())) is not None:
         return torch.full_like(min_counts, share)
-    images, low = _fill_first(images, total, low, high)
-    shares = _water_fill(images / images.amax((1, 2), True), total, low, high)
-    counts = _round_shares(shares, total, high, rounding_seeds).unsqueeze(1)
+    seeds = torch.as_tensor(rounding_seeds, device=images.device)
+    is_recordable = images.is_cuda and not is_recorded(images)
+    divide = _divide_recorded if is_recordable else _divide
+    counts = divide(images, total, low, high, seeds).unsqueeze(1)
     if questions is None:
         own.answer()
     return counts
+
+
+def _divide(density: Tensor, total: Tensor, low: Tensor, high: Tensor, seeds: Tensor) -> Tensor:
+    """Counts [n h w] within [low, high] that follow a density and sum to `total` [n 1 1]."""
+    density, low = _fill_first(density, total, low, high)
+    shares = _water_fill(density / density.amax((1, 2), True), total, low, high)
+    return _round_shares(shares, total, high, seeds)
+
+
+_divide_recorded = RecordedFunction(_divide)  # hundreds of small steps, one launch on a GPU
 
 
 class Demand(NamedTuple):
@@ -218,9 +230,7 @@ def _water_fill(density: Tensor, total: Tensor, low: Tensor, high: Tensor) -> Te
     return clip(best)
 
 
-def _round_shares(
-    shares: Tensor, total: Tensor, high: Tensor, seeds: Sequence[int] | Tensor
-) -> Tensor:
+def _round_shares(shares: Tensor, total: Tensor, high: Tensor, seeds: Tensor) -> Tensor:
     """Whole counts that sum to `total`: each share rounded down or up, at most `high`.
 
     What the shares lack of the total is first added in proportion to the room below `high`.

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from functools import partial
 from pathlib import Path
 
 import pytest
@@ -10,10 +11,17 @@ import torch
 from torch import nn
 
 from rlbench import backends, registry
-from rlbench.backends import BACKENDS, EAGER, find_networks, select_backend, use_backend
+from rlbench.backends import (
+    BACKENDS,
+    EAGER,
+    applicable_backend,
+    find_networks,
+    select_backend,
+    use_backend,
+)
 from rlbench.benchmark import results
 from rlbench.benchmark.clip_sources import StoredSource
-from rlbench.benchmark.results import COMPILERS
+from rlbench.benchmark.results import OTHER_BACKENDS
 from rlbench.benchmark.run_plan import RunPlan
 from rlbench.benchmark.runner import measure
 from rlbench.clips.procedural.clip import procedural_clip
@@ -138,10 +146,20 @@ def test_a_backend_that_cannot_be_used_is_an_error_that_says_why():
         select_backend("onnx", CPU)
     with pytest.raises(OptionError, match="not on cuda; add --device cpu"):
         select_backend("openvino", torch.device("cuda"))
+    with pytest.raises(OptionError, match="records CUDA graphs, and cannot run on cpu"):
+        select_backend("graph", CPU)
 
 
-def test_labels_of_compiled_rows_are_the_backends_names():
-    assert set(COMPILERS) == set(BACKENDS) - {EAGER}
+def test_graphs_run_every_row_that_can_be_recorded_and_compilers_those_with_networks():
+    svgf, intel = (registry.get_variant(name).traits for name in ("svgf", "oidn-intel"))
+    chosen = partial(applicable_backend, learned=False, skips_tiles=False)
+    assert [chosen("graph", traits) for traits in (svgf, intel)] == ["graph", EAGER]
+    assert chosen("openvino", svgf) == EAGER
+    assert applicable_backend("graph", svgf, learned=False, skips_tiles=True) == EAGER
+
+
+def test_labels_of_rows_are_the_backends_names():
+    assert set(OTHER_BACKENDS) == set(BACKENDS) - {EAGER}
 
 
 def test_the_conversion_of_a_network_does_not_keep_it_from_pytorch():

@@ -17,11 +17,9 @@ from rlbench.denoise import (
     DenoiseError,
     check_denoises_means,
     denoise_frame,
-    read_leaves,
-    replace_leaves,
 )
 from rlbench.frames import GBuffer, Size, StoredPool
-from rlbench.ops.nested_tensors import is_bit_equal
+from rlbench.ops.nested_tensors import is_bit_equal, read_leaves, replace_leaves
 
 FAMILIES = ("accumulate/tuned", "imcd", "nppd", "ntas", "oidn", "ours", "svgf", "eaw/still")
 

@@ -9,6 +9,8 @@ from typing import Any
 import pytest
 import torch
 from torch import Tensor
+from torch.utils import _pytree as pytree
+from torch.utils._python_dispatch import TorchDispatchMode
 
 from baselines.accumulate.density import mix_with_uniform
 from rlbench import registry
@@ -17,12 +19,14 @@ from rlbench.checks.conformance import MethodUnderTest, run_check
 from rlbench.checks.frame_edits import edit_radiance
 from rlbench.checks.stress.bad_pixel import plant_in_buffer, plant_in_samples
 from rlbench.clips.procedural.clip import procedural_clip
-from rlbench.denoise import read_leaves, replace_leaves
 from rlbench.frames import Frame, GBuffer, Size, StoredPool
 from rlbench.ops.asking import may_ask
+from rlbench.ops.nested_tensors import read_leaves, replace_leaves
+from rlbench.ops.recording import RecordedFunction
 from rlbench.questions import Questions
+from rlbench.recorded_method import RecordedMethod
 from rlbench.run import run_frame
-from rlbench.sampling import BudgetError, allocate_counts
+from rlbench.sampling import BudgetError, _divide, allocate_counts
 from rlbench.sanitize import sanitize_frame
 
 SIZE = Size(2, 36, 44)
@@ -31,6 +35,7 @@ ROWS = [
     *("accumulate/tuned", "dasr", "eaw", "eaw/still", "imcd", "mean", "nppd", "nppd/history"),
     *("ntas", "ntas/history", "oidn", "oidn/filled", "ours", "ours/latent", "ours/paper", "svgf"),
 ]
+QUICK = ("accumulate/tuned", "dasr", "ntas/history", "ours", "svgf")  # of those, in every run
 
 
 class Unasked(Tensor):
@@ -39,6 +44,49 @@ class Unasked(Tensor):
 
 def unasked(value: Any) -> Any:
     return value.clone().as_subclass(Unasked) if isinstance(value, Tensor) else value
+
+
+class Tape(TorchDispatchMode):
+    """Operations in order; each writes where it wrote at first, as in a CUDA graph."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.operations: list[tuple[Any, ...]] = []
+        self.replays = 0
+
+    def __torch_dispatch__(self, func, types, args=(), kwargs=None):
+        assert torch.Tag.data_dependent_output not in func.tags, f"{func} asks for values"
+        result = func(*args, **(kwargs or {}))
+        self.operations.append((func, args, kwargs or {}, result))
+        return result
+
+    def replay(self) -> None:
+        self.replays += 1
+        for function, args, kwargs, result in self.operations:
+            again = function(*args, **kwargs)
+            for old, new in zip(*map(tensors_of, (result, again)), strict=True):
+                if old.data_ptr() != new.data_ptr():  # no view and not in place
+                    old.copy_(new)
+
+
+def tensors_of(value: Any) -> list[Tensor]:
+    return [each for each in pytree.tree_leaves(value) if isinstance(each, Tensor)]
+
+
+class Tapes:
+    """A recorder on a processor; held tensors are such that nobody may ask for their values."""
+
+    def __init__(self) -> None:
+        self.tapes: list[Tape] = []
+
+    def hold(self, value: Tensor) -> Tensor:
+        return unasked(value)
+
+    def record(self, function):
+        self.tapes.append(tape := Tape())
+        with tape:
+            returned = function()
+        return tape.replay, returned
 
 
 def plain(value: Tensor) -> Tensor:
@@ -98,6 +146,58 @@ def test_a_frame_without_questions_has_the_same_counts_image_and_repairs(name, s
         assert torch.equal(plain(samples.counts), expected.counts)
         # the suspects of fireflies alone are computed by other loops, within rounding
         torch.testing.assert_close(plain(image), expected_image, rtol=1e-4, atol=1e-5)
+
+
+@pytest.mark.parametrize(
+    "name", [pytest.param(n, marks=[pytest.mark.slow] * (n not in QUICK)) for n in ROWS]
+)
+def test_recorded_stages_return_what_the_method_returns_for_other_frames(name):
+    """States are of two kinds at most: before the first frame, and later."""
+    traits, recorder = registry.get_variant(name).traits, Tapes()
+    method = registry.load_method(name, CPU)
+    recorded, spp = RecordedMethod(method, recorder), traits.nearest_spp(0.5)
+    for _ in range(2):
+        state = method.start(SIZE)
+        for frame in hard_frames():
+            valid = sanitize_frame(frame, traits.inputs)
+            with torch.inference_mode():
+                samples, image, _ = run_frame(recorded, valid, state, spp)
+                expected, expected_image, state = run_frame(method, valid, state, spp)
+            assert (plain(samples.counts) != expected.counts).float().mean() < 0.01
+            torch.testing.assert_close(plain(image), expected_image, rtol=1e-3, atol=1e-4)
+    kinds = len(recorder.tapes) // 2
+    assert kinds <= 2
+    assert sum(tape.replays for tape in recorder.tapes) == 2 * (8 - kinds)
+
+
+def test_what_plan_reprojects_is_recorded_once_and_denoise_alone_is_not_replayed():
+    method, recorder = registry.load_method("accumulate/tuned", CPU), Tapes()
+    frames = hard_frames()[:2]
+    (first, second), state = [sanitize_frame(f, method.traits.inputs) for f in frames], None
+    with torch.inference_mode():
+        samples, _, state = run_frame(method, first, method.start(SIZE), 1.0)
+        behind, alone = RecordedMethod(method, recorder), RecordedMethod(method, recorder)
+        for recorded, plans in ((behind, True), (alone, False), (behind, True), (behind, False)):
+            if plans:
+                recorded.plan(second.gbuffer, samples, state)
+            image, _ = recorded.denoise(second.gbuffer, samples, state)
+            state = replace(state)  # another object, as in the next frame
+    planned, shorter, longer = recorder.tapes
+    assert len(shorter.operations) < 0.9 * len(longer.operations)
+    assert [tape.replays for tape in recorder.tapes] == [1, 1, 0]
+    torch.testing.assert_close(plain(image), method.denoise(second.gbuffer, samples, state)[0])
+
+
+def test_a_recorded_function_holds_for_other_values_and_for_each_shape():
+    recorder, generator = Tapes(), torch.Generator().manual_seed(0)
+    recorded = RecordedFunction(_divide, recorder)
+    for n, h, w in [(1, 9, 12), (2, 30, 41), (1, 9, 12), (2, 30, 41)]:
+        density = torch.rand(n, h, w, generator=generator).double()
+        low, high = (torch.full((n, h, w), each) for each in (0, 8))
+        total, seeds = torch.full((n, 1, 1), h * w), torch.randint(99, (n,), generator=generator)
+        counts = plain(recorded(density, total, low, high, seeds))
+        assert torch.equal(counts, _divide(density, total, low, high, seeds))
+    assert [tape.replays for tape in recorder.tapes] == [2, 2]
 
 
 @pytest.mark.parametrize("value", [math.nan, math.inf, -1.0])

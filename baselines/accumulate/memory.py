@@ -26,6 +26,7 @@ from rlbench.ops.accumulation import (
     surface_features,
 )
 from rlbench.ops.antilag import history_confidence
+from rlbench.ops.asking import next_age
 from rlbench.ops.fireflies import limit_fireflies, repair_radiance_history
 from rlbench.ops.radiance_history import (
     find_static_pixels,
@@ -163,7 +164,7 @@ def weigh_history(
     _, accumulated, history = accumulate_samples(samples, history)
     surface = surface_features(gbuffer.normal, gbuffer.albedo, gbuffer.depth)
     filled = fill_holes(accumulated, gbuffer.albedo)
-    memory = replace(memory, radiance=filled, surface=surface, age=memory.age + 1)
+    memory = replace(memory, radiance=filled, surface=surface, age=next_age(memory.age))
     return surface_weight(history), memory
 
 

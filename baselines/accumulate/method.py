@@ -29,6 +29,7 @@ from rlbench.ops.accumulation import (
     fill_holes,
     surface_features,
 )
+from rlbench.ops.asking import next_age
 from rlbench.ops.exposure import autoexposure
 from rlbench.ops.reprojection import ReprojectionMemo
 from rlbench.ops.transfer import log_forward, log_inverse
@@ -105,7 +106,7 @@ class Accumulate:
         image = log_inverse(torch.lerp(denoised, history.image, weight))
         change = _update_change(history, denoised.detach())
         surface = surface_features(gbuffer.normal, gbuffer.albedo, gbuffer.depth)
-        return image, Memory(accumulated, image, change, surface, state.age + 1)
+        return image, Memory(accumulated, image, change, surface, next_age(state.age))
 
     def blend_weight(
         self, denoised: Float[Tensor, "n 3 h w"], history: History

@@ -23,6 +23,7 @@ from baselines.imcd.network import (
 from rlbench.family import Traits
 from rlbench.frames import GBuffer, Samples, Size
 from rlbench.ops.accumulation import surface_features
+from rlbench.ops.asking import next_age
 from rlbench.ops.demodulation import demodulation_albedo, filtered_albedo
 from rlbench.ops.fireflies import limit_fireflies
 from rlbench.weights import load_for_inference
@@ -124,7 +125,7 @@ class Imcd:
         image = denoised * albedo
         features = torch.cat((embedding, kernels.features[:, -1]), 1)
         memory = with_image(history.memory, image)
-        state = LightHistory(irradiance, denoised, features, state.age + 1, memory)
+        state = LightHistory(irradiance, denoised, features, next_age(state.age), memory)
         if state.age % self.config.bptt == 0:
             state = state.detach()
         return image, state, kernels

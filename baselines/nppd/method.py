@@ -22,7 +22,7 @@ from baselines.nppd.network import (
 from rlbench.family import Traits
 from rlbench.frames import GBuffer, Samples, Size
 from rlbench.ops.accumulation import fill_holes, frame_radiance, surface_features
-from rlbench.ops.asking import may_ask
+from rlbench.ops.asking import may_ask, next_age
 from rlbench.ops.demodulation import demodulation_albedo, filtered_albedo
 from rlbench.ops.fireflies import limit_fireflies
 from rlbench.ops.padding import crop, pad
@@ -119,7 +119,7 @@ class Nppd:
         denoised = crop(denoised, h, w)
         image = denoised * albedo
         memory = with_image(history.memory, image)
-        return image, LightHistory(irradiance, denoised, embedding, state.age + 1, memory)
+        return image, LightHistory(irradiance, denoised, embedding, next_age(state.age), memory)
 
     def _embed(self, gbuffer: GBuffer, light: Samples, mean: Tensor) -> Float[Tensor, "n 32 h w"]:
         """The mean embedding of a pixel's samples of irradiance."""

@@ -27,6 +27,7 @@ from baselines.oidn import equal_start
 from baselines.oidn.equal_start import EqualStart
 from rlbench.family import Traits
 from rlbench.frames import GBuffer, Samples, Size
+from rlbench.ops.asking import next_age
 from rlbench.ops.demodulation import demodulation_albedo, filtered_albedo
 from rlbench.ops.density import bounded_exp_density
 from rlbench.ops.fireflies import mean_without_fireflies, repair_radiance_history
@@ -133,7 +134,7 @@ class Ntas:
         denoised = self.networks.denoiser(features, noisy / albedo, history, weight)
 
         # modulate
-        age = state.age + 1
+        age = next_age(state.age)
         next_denoised = denoised.detach() if age % self.config.bptt == 0 else denoised
         image = denoised * albedo
         return image, State(next_denoised, age, with_image(memory, image))

@@ -28,6 +28,7 @@ from baselines.oidn.method import (
 from baselines.oidn.train import frame_losses, recurrent_task
 from rlbench.family import Traits
 from rlbench.frames import Clip, GBuffer, Samples, Size
+from rlbench.ops.asking import next_age
 from rlbench.ops.density import bounded_exp_density
 from rlbench.ops.exposure import autoexposure
 from rlbench.ops.fireflies import mean_without_fireflies, repair_radiance_history
@@ -113,7 +114,7 @@ class EqualStart:
             more = (pu_forward(last * exposure), weight)
         output = run_network(self.networks.denoiser, noisy * exposure, gbuffer, *more)
         image = self.decode(output.float(), exposure)
-        return image, state and LastImage(image.detach().clamp_min(0), state.age + 1)
+        return image, state and LastImage(image.detach().clamp_min(0), next_age(state.age))
 
 
 def _reproject(

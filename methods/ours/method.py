@@ -33,6 +33,7 @@ from methods.ours.initialization import initialize
 from methods.ours.networks import SAMPLE_ENCODINGS, Networks, Sampler, history_features
 from rlbench.family import Family, Traits
 from rlbench.frames import GBuffer, Samples, Size
+from rlbench.ops.asking import next_age
 from rlbench.ops.fireflies import limit_fireflies
 from rlbench.ops.init import kaiming_init
 from rlbench.ops.memory_format import to_contiguous_float32
@@ -138,7 +139,7 @@ class Ours:
         frame = DenoisedFrame(gbuffer, samples, encoded, latent, radiance, image)
         if not self.traits.temporal:  # nothing is remembered
             return image, state
-        return image, self.history.remember(frame, state.age + 1)
+        return image, self.history.remember(frame, next_age(state.age))
 
     def act(self, gbuffer: GBuffer, state: RecurrentState) -> Float[Tensor, "n 1 h w"]:
         """The sampler's mean action, in [-1, 1]."""

@@ -39,10 +39,10 @@ DAMAGED = ".damaged"  # added to the name of a row file that cannot be read
 IMAGES_PREFIX = "images "  # in `code_hash`, before the hash of images that were made elsewhere
 HELD_OUT_PREFIX = "without "  # in `weights_hash`, before the scene that a cross-validation held out
 BF16 = "bf16"  # label of rows whose networks ran in bfloat16
-COMPILERS = ("openvino", "compile")  # backends, labels of rows whose networks they ran
+OTHER_BACKENDS = ("openvino", "compile", "graph")  # labels of rows that they ran
 TILES = "tiles"  # label of rows whose unchanged tiles were kept from the last image
 CROSSVAL = "crossval"  # label of rows whose weights were trained without the row's scene
-RESERVED_LABELS = (BF16, TILES, CROSSVAL, *COMPILERS)  # labels that no weights may have
+RESERVED_LABELS = (BF16, TILES, CROSSVAL, *OTHER_BACKENDS)  # labels that no weights may have
 UNFINISHED = ".unfinished"  # a file in the folder while `rlbench evaluate` writes to it
 SCHEMA = 2  # of columns, names and metadata
 METADATA = b"rlbench"  # key of the JSON with the schema and the cell's identity
@@ -168,7 +168,7 @@ class RowName:
         def take(*known: str) -> str:
             return words.pop(0) if words and words[0] in known else ""
 
-        backend, bf16, tiles = take(*COMPILERS), take(BF16), take(TILES)
+        backend, bf16, tiles = take(*OTHER_BACKENDS), take(BF16), take(TILES)
         return RowOptions(backend or "eager", bool(bf16), bool(tiles), "-".join(words))
 
     def __str__(self) -> str:

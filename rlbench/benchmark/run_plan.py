@@ -14,7 +14,7 @@ from pathlib import Path
 import torch
 
 from rlbench import registry
-from rlbench.backends import EAGER, use_backend
+from rlbench.backends import EAGER, applicable_backend, use_backend
 from rlbench.benchmark.cell_key import CellKey, CellsError
 from rlbench.benchmark.clip_sources import StoredSource
 from rlbench.benchmark.cost_profile import MEASURED
@@ -131,7 +131,7 @@ def list_cells(plan: RunPlan) -> list[Cell]:
             method=name,
             variant=variants[name],
             bf16=plan.bf16 and variants[name].learned,
-            backend=plan.backend if variants[name].learned else EAGER,
+            backend=_backend_of(plan, variants[name]),
             skip_tiles=_skips_tiles(plan, variants[name]),
             weights_file=files[name],
             training_clips=trained_on[name],
@@ -149,15 +149,15 @@ def row_name(plan: RunPlan, name: str) -> str:
     labelled by their file, if the method also has shipped weights.
     """
     variant = registry.get_variant(name)
-    parts = [TILES if _skips_tiles(plan, variant) else ""]
+    backend = _backend_of(plan, variant)
+    parts = ["" if backend == EAGER else backend, TILES if _skips_tiles(plan, variant) else ""]
     if variant.learned:
         weights = chosen_weights(plan, name)
         label = plan.weights_label if weights == plan.weights else ""
         if weights and not label and _shipped_weights(name).is_file():
             label = _label_of_file(weights)
-        backend = "" if plan.backend == EAGER else plan.backend
         label = CROSSVAL if plan.held_out_scene else label
-        parts = [backend, BF16 if plan.bf16 else "", *parts, label]
+        parts = [parts[0], BF16 if plan.bf16 else "", parts[1], label]
     return str(replace(RowName.parse(name), label="-".join(filter(None, parts))))
 
 
@@ -229,9 +229,18 @@ def build_method(
     backend that the device does not have.
     """
     method: Method = CheckedReturns(registry.load_method(name, device, weights))
-    use_backend(method, backend, device, bf16)
+    method = use_backend(method, backend, device, bf16)
     method = HalfPrecision(method, device) if bf16 else method
     return SkipTiles(method) if skip_tiles else method
+
+
+def _backend_of(plan: RunPlan, variant: Variant) -> str:
+    return applicable_backend(
+        plan.backend,
+        variant.traits,
+        learned=variant.learned,
+        skips_tiles=_skips_tiles(plan, variant),
+    )
 
 
 def _skips_tiles(plan: RunPlan, variant: Variant) -> bool:

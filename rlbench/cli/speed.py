@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from itertools import product
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
@@ -18,6 +18,9 @@ from rlbench.cli.arguments import (
 from rlbench.cli.methods import expand_methods, load_rows
 from rlbench.cli.options import MEASUREMENT, METHODS, file, flag, folder, number, option
 from rlbench.errors import OptionError
+
+if TYPE_CHECKING:
+    from rlbench.family import Variant
 
 SIZES = PixelSizes((PixelSize(192, 192), PixelSize(720, 720), PixelSize(1080, 1920)))
 
@@ -40,7 +43,7 @@ def speed(
         list[str] | None,
         option(
             METHODS,
-            "what runs networks: a list of eager, openvino, compile; default: eager",
+            "what runs networks: a list of eager, openvino, compile, graph; default: eager",
             value="NAMES",
         ),
     ] = None,
@@ -106,7 +109,7 @@ def speed(
         Configuration(name, each, half)
         for name in names
         for each, half in product(backends, (False, True) if bf16 else (False,))
-        if registry.get_variant(name).learned or (each, half) == (EAGER, False)
+        if _changes_something(registry.get_variant(name), each, half)
     ]
     with console.counting("timing", len(configurations) * len(sizes)) as advance:
         table = measure_speed(configurations, sizes, target, repeats, advance)
@@ -120,3 +123,12 @@ def speed(
         for name, reason in failures.items():
             typer.echo(f"{name} has no times: {reason}", err=True)
         raise typer.Exit(1)
+
+
+def _changes_something(variant: Variant, backend: str, half: bool) -> bool:
+    """True if a row runs in other code by this backend and precision, and for eager itself."""
+    from rlbench.backends import applicable_backend
+
+    learned = variant.learned
+    own = applicable_backend(backend, variant.traits, learned=learned, skips_tiles=False)
+    return own == backend and (learned or not half)

@@ -12,7 +12,7 @@ from __future__ import annotations
 import torch
 from torch import Tensor, nn
 
-__all__ = ["is_recorded", "may_ask"]
+__all__ = ["is_recorded", "may_ask", "next_age"]
 
 
 def is_recorded(values: Tensor) -> bool:
@@ -34,3 +34,12 @@ def may_ask(values: Tensor) -> bool:
     True
     """
     return values.device.type == "cpu" and not is_recorded(values)
+
+
+def next_age(age: int) -> int:
+    """The frames that a state has seen, one frame later; where no gradients are, 1 for all of them.
+
+    Truncated backpropagation counts frames. Elsewhere a first frame alone differs from others, so
+    that these have states of one kind and are recorded once.
+    """
+    return age + 1 if torch.is_grad_enabled() else 1

@@ -10,7 +10,7 @@ import torch
 from jaxtyping import Int
 from torch import Tensor
 
-from rlbench.ops.asking import is_recorded, may_ask
+from rlbench.ops.asking import may_ask
 
 __all__ = ["ONE_SHARE", "hash_to_integers", "round_to_total"]
 
@@ -22,8 +22,6 @@ HASH_FACTORS = (0x9E3779B97F4A7C15 - 2**64, 0xD1342543DE82EF95 - 2**64)  # odd, 
 SMALL_LEVEL = 4096  # parts up to which numpy is quicker than torch, which takes longer for a call
 
 Array = Tensor | np.ndarray
-
-_graphs: dict[tuple[torch.Size, torch.device], _Graph] = {}  # by size, on GPUs
 
 
 def round_to_total(
@@ -55,12 +53,7 @@ def round_to_total(
     levels = (h - 1).bit_length() + (w - 1).bit_length()
     thresholds = hash_to_integers(torch.as_tensor(seeds, device=shares.device), levels)
     totals = total if isinstance(total, Tensor) else shares.new_full((n, 1, 1), total)
-    inputs = (shares, totals, thresholds.view(levels, n, 1, 1))
-    if not shares.is_cuda or is_recorded(shares):
-        return _divide_all(*inputs)
-    if (key := (shares.shape, shares.device)) not in _graphs:
-        _graphs[key] = _Graph(*inputs)
-    return _graphs[key](*inputs)
+    return _divide_all(shares, totals, thresholds.view(levels, n, 1, 1))
 
 
 def _divide_all(shares: Tensor, totals: Tensor, thresholds: Tensor) -> Tensor:
@@ -79,28 +72,6 @@ def _divide_all(shares: Tensor, totals: Tensor, thresholds: Tensor) -> Tensor:
         kind = torch.asarray if isinstance(parts, Tensor) else np.asarray
         counts = _divide(kind(counts), parts, kind(threshold))
     return torch.asarray(counts)
-
-
-class _Graph:
-    """`_divide_all` for one size as one launch: its hundreds of small steps keep a GPU waiting."""
-
-    def __init__(self, *inputs: Tensor) -> None:
-        """Record the steps for inputs of these shapes."""
-        self.graph = torch.cuda.CUDAGraph()
-        with torch.inference_mode(False):  # so that it can be used in both modes
-            self.inputs = [each.clone() for each in inputs]
-            _divide_all(*self.inputs)  # what happens on first use alone must not be recorded
-            torch.cuda.synchronize()
-            # another thread may read clips meanwhile
-            with torch.cuda.graph(self.graph, capture_error_mode="thread_local"):
-                self.output = _divide_all(*self.inputs)
-
-    def __call__(self, *inputs: Tensor) -> Tensor:
-        """The counts."""
-        for own, given in zip(self.inputs, inputs, strict=True):
-            own.copy_(given)
-        self.graph.replay()
-        return self.output.clone()
 
 
 def _library(parts: Array) -> ModuleType:

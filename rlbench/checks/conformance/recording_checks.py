@@ -15,9 +15,9 @@ from rlbench import registry
 from rlbench.checks.conformance.method_under_test import MethodUnderTest, requirement
 from rlbench.checks.conformance.state_checks import COMPARED
 from rlbench.checks.frame_edits import stored_radiance, to_clip
-from rlbench.denoise import read_leaves, replace_leaves
 from rlbench.frames import Frame, GBuffer, StoredPool
 from rlbench.method import State
+from rlbench.ops.nested_tensors import read_leaves, replace_leaves
 from rlbench.returns import Fault
 from rlbench.run import run_frame
 from rlbench.sanitize import sanitize_frame

@@ -32,8 +32,9 @@ from rlbench.apps.dumps.denoising.record import (
     claim_frames,
     read_record,
 )
-from rlbench.denoise import DenoiseError, read_leaves, replace_leaves
+from rlbench.denoise import DenoiseError
 from rlbench.method import Method, State
+from rlbench.ops.nested_tensors import read_leaves, replace_leaves
 from rlbench.system.folder_lock import locked_folder
 from rlbench.system.paths import atomic_write
 
