@@ -10,7 +10,7 @@ import typer
 from rlbench.api import select_methods
 from rlbench.cli import options
 from rlbench.cli.arguments import Crop, parse_crop, split_names
-from rlbench.cli.options import OUTPUT, flag, folder, number, option
+from rlbench.cli.options import OUTPUT, fill, flag, folder, number, option
 from rlbench.cli.selection import find_sources, read_rows
 
 if TYPE_CHECKING:
@@ -104,20 +104,7 @@ def video(
     check_writable(target)
     suffixes = split_names(formats) or ["webp"]
     check_formats(suffixes)
-    style = VideoStyle(
-        layout=layout,
-        zoom=zoom,
-        fps=fps,
-        ping_pong=ping_pong,
-        repeat=repeat,
-        crop=crop,
-        line=line,
-        samples=samples,
-        labels=labels,
-        titles=tuple(split_names(titles)),
-        columns=columns,
-        quality=quality,
-    )
+    style = fill(VideoStyle, locals(), titles=tuple(split_names(titles)))
     rows = read_rows(results, scenes=scenes)
     names = _order_methods(rows, split_names(methods), results)
     from reports.analysis.rows import nearest_budget
