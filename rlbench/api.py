@@ -59,7 +59,7 @@ def takes_fields(record: Callable[P, R]) -> Callable[[Callable[[R], T]], Callabl
 def run(options: RunOptions) -> pd.DataFrame:
     """Score and time methods on clips; returns the rows of this call, one number a row.
 
-    The options are arguments: `run("ours", spp=[1, 4])`.
+    The arguments are the fields of `RunOptions`: `run("ours", spp=[1, 4])`.
 
     `methods` is one name or several, or patterns such as `ours`, `oidn/*` or `all`; `plugin` is a
     Python file with methods or metrics, or several, which stay known after the call. `spp` are
