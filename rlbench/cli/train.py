@@ -91,6 +91,9 @@ def train(
     crop: options.Crop = options.DEFAULT_CROP,
     train_spp: options.TrainSpp = options.DEFAULT_TRAIN_SPP,
     bf16: options.TrainBf16 = False,
+    graph: Annotated[
+        bool, flag(TRAINING, "--graph", "record each step as a CUDA graph; never run on a GPU yet")
+    ] = False,
     max_grad_norm: options.MaxGradNorm = 1.0,
     seed: options.TrainSeed = 0,
     eval_interval: Annotated[
@@ -227,6 +230,7 @@ def train(
         eval_interval=eval_interval,
         anchor=anchor,
         anneal=anneal,
+        graph=graph,
     )
     runs = training_runs(out, config, device, minutes, allow_config_change)
     runs = replace(runs, suffix=QUICK if quick else "", start=find_weights(start, out, names))
