@@ -18,25 +18,27 @@ ROWS = ("oidn/retrained", "accumulate/tuned", "ours/A2", "nppd", "imcd", "ntas")
 
 
 def sequence(seed: int) -> InMemoryClip:
-    return procedural_clip(seed, Size(1, 48, 48), frames=3)
+    return procedural_clip(seed, Size(1, 32, 32), frames=2)
 
 
-@pytest.mark.parametrize("name", ROWS)
+@pytest.mark.parametrize(
+    "name", [pytest.param(n, marks=[pytest.mark.slow] * (n in ("nppd", "imcd"))) for n in ROWS]
+)
 def test_recorded_steps_train_as_plain_ones_do(name):
     """Two budgets, each recorded once; weights differ by the rounding of forms that ask nothing."""
     states, recorder = [], Tapes()
     for each in (None, recorder):
         state = TrainState(registry.training_task(name, "cpu"), TrainingConfig(), "cpu", each)
         losses = [
-            state.train_sequence(sequence(seed), spp, 1.0, seed / 6)
-            for seed, spp in enumerate((1.0, 2.0, 1.0, 2.0, 1.0, 1.0))
+            state.train_sequence(sequence(seed), spp, 1.0, seed / 5)
+            for seed, spp in enumerate((1.0, 2.0, 1.0, 2.0, 1.0))
         ]
         states.append((losses, state.networks.state_dict()))
     (losses, weights), (recorded_losses, recorded_weights) = states
     assert recorded_losses == pytest.approx(losses, rel=2e-3)
     for key, weight in weights.items():
         torch.testing.assert_close(recorded_weights[key], weight, rtol=1e-3, atol=2e-4)
-    assert {tape.replays for tape in recorder.tapes if tape.replays} == {1, 3}
+    assert {tape.replays for tape in recorder.tapes if tape.replays} == {1, 2}
 
 
 @pytest.mark.parametrize("name", ["dasr", "ours", "ours/paper-appo"])
