@@ -19,7 +19,8 @@ def is_recording() -> bool:
     """True while torch.compile or a CUDA graph records what happens here."""
     if torch.compiler.is_compiling():
         return True
-    return torch.backends.cuda.is_built() and torch.cuda.is_current_stream_capturing()
+    has_cuda = torch.version.cuda is not None
+    return has_cuda and torch.cuda.is_current_stream_capturing()
 
 
 def is_recorded(values: Tensor) -> bool:
