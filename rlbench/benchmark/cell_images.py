@@ -30,7 +30,7 @@ from rlbench.clips.exr import read_exr_header, read_planes, write_exr
 from rlbench.clips.header import Header
 from rlbench.errors import RlbenchError
 from rlbench.run import FrameResult
-from rlbench.system import documents, paths
+from rlbench.system import documents, paths, store
 
 FOLDER = "images"  # in a results folder
 RECORD = "cell.json"
@@ -132,8 +132,7 @@ def write_images(results: Path, cell: CellId, images: CellImages) -> Path:
         checksums = tuple(_write_frame(unfinished, *each) for each in enumerate(images.frames))
         identity = {"schema": SCHEMA, **asdict(cell.untimed), "checksums": checksums}
         record = identity | {name: getattr(images, name) for name in OF_CLIP}
-        with paths.atomic_write(unfinished / RECORD) as temporary:
-            temporary.write_text(json.dumps(record, indent=1))
+        store.write_text(unfinished / RECORD, json.dumps(record, indent=1))
         drop_images(results, cell)
         paths.publish_folder(unfinished, folder)
     finally:
