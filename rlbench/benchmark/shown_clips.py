@@ -69,7 +69,7 @@ def find_shown_clips(
     folder: Path,
     clips: Sequence[StoredSource],
     methods: Collection[str],
-    target_spp: Collection[float],
+    budgets: Collection[float],
     buffers: Collection[str] = BUFFERS,
 ) -> ShownClips:
     """Each of `clips` with the images that a results folder keeps of these methods and budgets.
@@ -82,7 +82,7 @@ def find_shown_clips(
     for kept in sorted(
         find_kept_cells(folder, clips, methods), key=lambda kept: kept.cell.key.seed
     ):
-        if kept.cell.key.target_spp in target_spp:
+        if kept.cell.key.target_spp in budgets:
             first.setdefault(replace(kept.cell.key, seed=0, device=""), kept)
     images = [
         tuple(kept.images for kept in first.values() if kept.clip.folder == clip.folder)
@@ -152,7 +152,7 @@ class DisplayClip:
 def display_clips(
     clip: ShownClip,
     methods: Sequence[str],
-    target_spp: Collection[float],
+    budgets: Collection[float],
     scores: pd.DataFrame,
     with_reference: bool = False,
 ) -> Iterator[DisplayClip]:
@@ -162,7 +162,7 @@ def display_clips(
     """
     reference = _to_display(clip.reference) if with_reference else None
     by_key = {(each.method, each.target_spp): each for each in clip.images}
-    for spp in target_spp:
+    for spp in budgets:
         rows = (_display_images(by_key[method, spp], clip.name, scores) for method in methods)
         yield DisplayClip(clip.name, spp, tuple(rows), reference)
 
