@@ -10,9 +10,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 from PIL import Image
 
-from reports.layout.files import finished_file
 from rlbench.apps.view.video.pictures import Panel, Rgb8, panels_of, pictures
 from rlbench.apps.view.video.style import VideoStyle, check_formats
+from rlbench.system.paths import atomic_write
 
 if TYPE_CHECKING:
     from rlbench.benchmark.shown_clips import ShownClip
@@ -71,7 +71,7 @@ def write_mp4(pictures: Iterator[Rgb8], file: Path, fps: float) -> None:
     first = next(pictures)
     matrix = "scale=out_color_matrix=bt709:out_range=tv"
     options = ["-vf", f"{matrix},setparams={COLOURS}", "-crf", str(CRF), "-preset", "slow"]
-    with finished_file(file) as temporary:
+    with atomic_write(file) as temporary:
         writer = imageio_ffmpeg.write_frames(
             str(temporary),
             first.shape[1::-1],
@@ -91,7 +91,7 @@ def write_mp4(pictures: Iterator[Rgb8], file: Path, fps: float) -> None:
 def write_webp(pictures: Iterator[Rgb8], file: Path, fps: float, quality: int) -> None:
     """Write an animation that repeats for ever; equal pictures give equal bytes."""
     first, *others = map(Image.fromarray, pictures)
-    with finished_file(file) as temporary:
+    with atomic_write(file) as temporary:
         first.save(
             temporary,
             save_all=True,
