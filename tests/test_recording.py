@@ -25,6 +25,7 @@ from rlbench.recorded_method import RecordedMethod
 from rlbench.run import run_frame
 from rlbench.sampling import BudgetError, _divide, allocate_counts
 from rlbench.sanitize import sanitize_frame
+from tests.conftest import install_plugin
 from tests.tapes import Tapes, plain, unasked
 
 SIZE = Size(2, 36, 44)
@@ -193,9 +194,8 @@ def test_the_list_marks_rows_that_cannot_be_recorded():
 
 
 def test_a_question_is_named_with_its_line(tmp_path, monkeypatch):
-    monkeypatch.setenv(
-        registry.METHODS_VARIABLE, "faulty=tests.checks.conformance.broken_fixtures:FAMILY"
-    )
+    target = "tests.checks.conformance.broken_fixtures:FAMILY"
+    install_plugin(tmp_path, monkeypatch, "methods", f"faulty = {target}")
     result = run_check(MethodUnderTest("faulty/asks for a value"), "recordable")
     assert "broken_fixtures.py:" in result.found
     assert "eager_reason" in result.remedy

@@ -7,11 +7,11 @@ from pathlib import Path
 import pytest
 import typer
 
-from rlbench import registry
 from rlbench.cli import arguments
 from rlbench.cli.arguments import WeightsChoice
 from rlbench.cli.methods import expand_methods
 from rlbench.cli.verbosity import set_verbosity
+from tests.conftest import install_plugin
 
 
 @pytest.mark.parametrize(
@@ -112,8 +112,8 @@ def test_values_that_are_no_text_are_unchanged():
     assert arguments.parse_positive(1.5) == 1.5
 
 
-def test_all_skips_a_broken_family_and_says_so(monkeypatch, capsys):
-    monkeypatch.setenv(registry.METHODS_VARIABLE, "torn=nowhere_at_all:FAMILY")
+def test_all_skips_a_broken_family_and_says_so(tmp_path, monkeypatch, capsys):
+    install_plugin(tmp_path, monkeypatch, "methods", "torn = nowhere_at_all:FAMILY")
     set_verbosity(verbose=False, quiet=False)  # as the program does before each command
     names = expand_methods(["all"])
     assert "mean" in names
