@@ -29,7 +29,7 @@ SHOWN := view=flip&clip=0&frame=7&a=ours&b=mean&split=0.5&px=120&py=90
 
 SPP := 1000
 
-.PHONY: demo docs tables baseline table1 viewer unseen speed metric-speed overhead takes regressions real large recovery gradients stress training campaign contact teaser switched videos site test test-apps test-all lowest format clean
+.PHONY: demo docs tables baseline table1 viewer unseen speed gpu metric-speed overhead takes regressions real large recovery gradients stress training campaign contact teaser switched videos site test test-apps test-all lowest format clean
 
 demo: .venv/run.stamp
 	$(BIN)/rlbench run --preset mini --keep-images --out $(RESULTS)
@@ -84,6 +84,12 @@ unseen: .venv/dev.stamp
 speed: .venv/dev.stamp
 	$(BIN)/rlbench speed -m '$(SPEED)' --sizes 192,720 --backend eager,openvino --bf16 --repeats 5 --out $(RESULTS)/speed
 	cp $(RESULTS)/speed/speed.md $(RESULTS)/speed/speed.csv docs/results
+
+# on a machine with a GPU: recorded frames and steps against plain ones, and times of both at three sizes
+gpu: .venv/dev.stamp
+	$(BIN)/rlbench doctor
+	$(BIN)/python -m pytest tests/test_gpu.py -n 0
+	$(BIN)/rlbench speed -m '$(SPEED_GPU)' --sizes 192,1280x720,1080p --backend eager,graph --bf16 --repeats 5 --device cuda --out $(RESULTS)/gpu
 
 # SSIM and MS-SSIM against other libraries at 1080p: a minute of a quiet machine
 metric-speed: .venv/dev.stamp

@@ -53,6 +53,9 @@ FEW_UNSEEN := $(shell seq -s , -f 'generated-%g' 400 407)
 # learned rows near the front and two filters, in all backends
 SPEED := oidn-intel,oidn/tuned,accumulate/contrast,ours,ours/latent,ntas,svgf,bmfr
 
+# the same on a GPU, and the rows whose papers report times on one
+SPEED_GPU := oidn,oidn-intel,accumulate/tuned,accumulate/fast,ours,svgf,eaw,bmfr,ntas,imcd,dasr,nppd
+
 # rows of the picture of the viewer
 VIEWED := mean,svgf,imcd,ntas,oidn,oidn/tuned,accumulate/contrast,ours,ours/latent
 

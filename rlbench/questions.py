@@ -9,7 +9,7 @@ import torch
 from jaxtyping import Shaped
 from torch import Tensor
 
-from rlbench.ops.asking import may_ask
+from rlbench.ops import asking
 
 __all__ = ["Questions"]
 
@@ -37,7 +37,7 @@ class Questions:
 
         Numbers are read in float64, so whole ones are exact up to 2^53. Raises what `judge` raises.
         """
-        if not may_ask(values):
+        if not asking.may_ask(values):
             self._asked.append((values, judge))
             return None
         answer: list[float] = values.tolist()
@@ -46,10 +46,10 @@ class Questions:
 
     def answer(self) -> None:
         """Read all numbers that are left, in one transfer. Raises what the judges raise."""
-        if not self._asked:
-            return
         pending = self._asked[:]
         self._asked.clear()
+        if not pending or asking.is_recording():  # a recording has no answers
+            return
         numbers = torch.cat([values.double() for values, _ in pending]).tolist()
         for values, judge in pending:
             judge(numbers[: len(values)])

@@ -42,15 +42,15 @@ def draw_samples(
     pool: Pool,
     samples: Samples,
     density: Float[Tensor, "n 1 h w"],
-    target_spp: float,
+    total_spp: float,
     min_samples: int = 0,
     max_samples: int | None = None,
     discard_pilot: bool = False,
     questions: Questions | None = None,
 ) -> Samples:
-    """`samples` and more, drawn by `density`, `target_spp` samples per pixel on average in total.
+    """`samples` and more, drawn by `density`, `total_spp` samples per pixel on average in total.
 
-    The total of each image is exactly round(target_spp * h * w). Each pixel gets at least
+    The total of each image is exactly round(total_spp * h * w). Each pixel gets at least
     `min_samples`, and at most `max_samples` and what the pool holds. With `discard_pilot`, earlier
     samples still count towards the total, but density and limits apply to the new samples alone.
 
@@ -65,7 +65,7 @@ def draw_samples(
             "return one value per pixel"
         )
     density, drawn = density.detach(), samples.counts
-    total_samples = round(target_spp * h * w)
+    total_samples = round(total_spp * h * w)
     limit = pool.max_samples if max_samples is None else min(max_samples, pool.max_samples)
     seeds = torch.as_tensor(pool.rounding_seeds, device=drawn.device)
     if discard_pilot:

@@ -39,7 +39,6 @@ def pytest_runtest_setup(item: pytest.Item) -> None:
 def _own_cache(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
     """Tests do not touch the user's cache; plugin files are unloaded after each test."""
     monkeypatch.setenv("RLBENCH_CACHE", str(tmp_path / "cache"))
-    monkeypatch.delenv(registry.METHODS_VARIABLE, raising=False)
     monkeypatch.setattr(paths, "_synchronize", lambda path: None)  # it takes 10 ms per file
     torch.set_num_threads(1)
     yield
@@ -88,6 +87,21 @@ def write_noise(
         write_frame(folder, index, gbuffer, {"path": pool}, *halves)
     write_header(folder, Header(**fields))
     return folder
+
+
+def install_plugin(
+    folder: Path, monkeypatch: pytest.MonkeyPatch, group: str, entry: str, package: str = "strange"
+) -> None:
+    """Make `entry`, such as "mine = module:FAMILY", known as a package that is installed does.
+
+    Its modules lie in `folder`, or can be imported already.
+    """
+    information = folder / f"{package}-1.dist-info"
+    information.mkdir(parents=True)
+    metadata = f"Metadata-Version: 2.1\nName: {package}\nVersion: 1\n"
+    (information / "METADATA").write_text(metadata)
+    (information / "entry_points.txt").write_text(f"[rlbench.{group}]\n{entry}\n")
+    monkeypatch.syspath_prepend(str(folder))
 
 
 def write_plugin(

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import os
-
 import pytest
 import torch
 
@@ -11,7 +9,6 @@ from rlbench import registry
 from rlbench.checks.conformance import MethodUnderTest, Verdict, run_checks
 from rlbench.frames import Size
 
-LOOSE_PLUGINS = os.environ.get(registry.METHODS_VARIABLE, "")  # methods beside the installed ones
 SAME_CODE = {  # training or weights alone tell them from another row; here, weights are random
     *("accumulate/intel", "accumulate/tuned", "oidn/retrained", "oidn/tuned", "ours/A1"),
     *("ours/latent-A1", "ours/latent-initial", "ours/paper-A1", "ours/paper-appo"),
@@ -25,11 +22,6 @@ METHODS = [
     for name in registry.load_family(family).method_names()
 ]
 SIZE, SMALL_SIZE = Size(1, 45, 61), Size(1, 21, 37)  # odd, and quicker than those of the command
-
-
-@pytest.fixture(autouse=True)
-def _loose_plugins(monkeypatch: pytest.MonkeyPatch):
-    monkeypatch.setenv(registry.METHODS_VARIABLE, LOOSE_PLUGINS)
 
 
 def assert_conforms(tested: MethodUnderTest) -> None:

@@ -4,13 +4,10 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
-from typing import Any
 
 import pytest
 import torch
 from torch import Tensor
-from torch.utils import _pytree as pytree
-from torch.utils._python_dispatch import TorchDispatchMode
 
 from baselines.accumulate.density import mix_with_uniform
 from rlbench import registry
@@ -28,6 +25,8 @@ from rlbench.recorded_method import RecordedMethod
 from rlbench.run import run_frame
 from rlbench.sampling import BudgetError, _divide, allocate_counts
 from rlbench.sanitize import sanitize_frame
+from tests.conftest import install_plugin
+from tests.tapes import Tapes, plain, unasked
 
 SIZE = Size(2, 36, 44)
 CPU = torch.device("cpu")
@@ -36,61 +35,6 @@ ROWS = [
     *("ntas", "ntas/history", "oidn", "oidn/filled", "ours", "ours/latent", "ours/paper", "svgf"),
 ]
 QUICK = ("accumulate/tuned", "dasr", "ntas/history", "ours", "svgf")  # of those, in every run
-
-
-class Unasked(Tensor):
-    """A tensor with values that nobody may ask for; results of its operations are such, too."""
-
-
-def unasked(value: Any) -> Any:
-    return value.clone().as_subclass(Unasked) if isinstance(value, Tensor) else value
-
-
-class Tape(TorchDispatchMode):
-    """Operations in order; each writes where it wrote at first, as in a CUDA graph."""
-
-    def __init__(self) -> None:
-        super().__init__()
-        self.operations: list[tuple[Any, ...]] = []
-        self.replays = 0
-
-    def __torch_dispatch__(self, func, types, args=(), kwargs=None):
-        assert torch.Tag.data_dependent_output not in func.tags, f"{func} asks for values"
-        result = func(*args, **(kwargs or {}))
-        self.operations.append((func, args, kwargs or {}, result))
-        return result
-
-    def replay(self) -> None:
-        self.replays += 1
-        for function, args, kwargs, result in self.operations:
-            again = function(*args, **kwargs)
-            for old, new in zip(*map(tensors_of, (result, again)), strict=True):
-                if old.data_ptr() != new.data_ptr():  # no view and not in place
-                    old.copy_(new)
-
-
-def tensors_of(value: Any) -> list[Tensor]:
-    return [each for each in pytree.tree_leaves(value) if isinstance(each, Tensor)]
-
-
-class Tapes:
-    """A recorder on a processor; held tensors are such that nobody may ask for their values."""
-
-    def __init__(self) -> None:
-        self.tapes: list[Tape] = []
-
-    def hold(self, value: Tensor) -> Tensor:
-        return unasked(value)
-
-    def record(self, function):
-        self.tapes.append(tape := Tape())
-        with tape:
-            returned = function()
-        return tape.replay, returned
-
-
-def plain(value: Tensor) -> Tensor:
-    return value.as_subclass(Tensor)
 
 
 def firefly(radiance: Tensor) -> Tensor:
@@ -250,9 +194,8 @@ def test_the_list_marks_rows_that_cannot_be_recorded():
 
 
 def test_a_question_is_named_with_its_line(tmp_path, monkeypatch):
-    monkeypatch.setenv(
-        registry.METHODS_VARIABLE, "faulty=tests.checks.conformance.broken_fixtures:FAMILY"
-    )
+    target = "tests.checks.conformance.broken_fixtures:FAMILY"
+    install_plugin(tmp_path, monkeypatch, "methods", f"faulty = {target}")
     result = run_check(MethodUnderTest("faulty/asks for a value"), "recordable")
     assert "broken_fixtures.py:" in result.found
     assert "eager_reason" in result.remedy

@@ -277,16 +277,16 @@ def test_a_budget_of_a_hundredth_sample_per_pixel_is_exact():
 def test_drawing_costs_exactly_the_budget(spp):
     pool = random_pool()
     density = torch.rand(1, 1, 6, 7, generator=torch.Generator().manual_seed(1))
-    samples = draw_samples(pool, pool.empty(), density, target_spp=spp)
+    samples = draw_samples(pool, pool.empty(), density, total_spp=spp)
     assert int(samples.counts.sum()) == round(spp * 42)
 
 
 def test_a_second_pass_keeps_the_samples_of_the_first():
     pool = random_pool()
-    first = draw_samples(pool, pool.empty(), torch.ones(1, 1, 6, 7), target_spp=1)
+    first = draw_samples(pool, pool.empty(), torch.ones(1, 1, 6, 7), total_spp=1)
     density = torch.zeros(1, 1, 6, 7)
     density[..., 0] = 1
-    second = draw_samples(pool, first, density, target_spp=1.5)
+    second = draw_samples(pool, first, density, total_spp=1.5)
     assert (second.counts >= first.counts).all()
     valid = first.valid_mask.expand_as(first.radiance)
     assert torch.equal(second.radiance[valid], first.radiance[valid])
@@ -296,7 +296,7 @@ def test_samples_that_were_not_drawn_are_zero():
     values = random_pool().radiance.clone()
     values[:, 1:] = math.nan
     samples = draw_samples(
-        StoredPool(values, SEEDS), random_pool().empty(), torch.ones(1, 1, 6, 7), target_spp=1
+        StoredPool(values, SEEDS), random_pool().empty(), torch.ones(1, 1, 6, 7), total_spp=1
     )
     assert torch.equal(samples.radiance[:, 0], values[:, 0])
     assert (samples.radiance[:, 1:] == 0).all()
@@ -304,7 +304,7 @@ def test_samples_that_were_not_drawn_are_zero():
 
 def test_the_mean_is_that_of_the_drawn_samples():
     pool = random_pool()
-    samples = draw_samples(pool, pool.empty(), torch.ones(1, 1, 6, 7), target_spp=3)
+    samples = draw_samples(pool, pool.empty(), torch.ones(1, 1, 6, 7), total_spp=3)
     torch.testing.assert_close(samples.mean, pool.radiance[:, :3].mean(1))
 
 
@@ -316,26 +316,26 @@ def test_a_minimum_of_one_samples_every_pixel():
     pool = random_pool()
     density = torch.zeros(1, 1, 6, 7)
     density[..., 2, 2] = 1
-    samples = draw_samples(pool, pool.empty(), density, target_spp=1.2, min_samples=1)
+    samples = draw_samples(pool, pool.empty(), density, total_spp=1.2, min_samples=1)
     assert int(samples.counts.min()) == 1
 
 
 def test_a_minimum_beyond_the_budget_is_an_error():
     pool = random_pool()
     with pytest.raises(BudgetError, match="does not fit"):
-        draw_samples(pool, pool.empty(), torch.ones(1, 1, 6, 7), target_spp=0.5, min_samples=1)
+        draw_samples(pool, pool.empty(), torch.ones(1, 1, 6, 7), total_spp=0.5, min_samples=1)
 
 
 def test_a_density_with_another_shape_is_an_error():
     pool = random_pool()
     with pytest.raises(BudgetError, match=r"\[1, 1, 7, 6\], the frame \[1, 1, 6, 7\]"):
-        draw_samples(pool, pool.empty(), torch.ones(1, 1, 7, 6), target_spp=1)
+        draw_samples(pool, pool.empty(), torch.ones(1, 1, 7, 6), total_spp=1)
 
 
 def test_no_gradient_flows_through_drawing():
     pool = random_pool()
     density = torch.ones(1, 1, 6, 7, requires_grad=True)
-    samples = draw_samples(pool, pool.empty(), density, target_spp=1)
+    samples = draw_samples(pool, pool.empty(), density, total_spp=1)
     assert not samples.radiance.requires_grad
 
 
@@ -386,10 +386,10 @@ def test_the_minimum_applies_to_samples_after_a_discarded_pilot():
     assert int(samples.counts.min()) == 1
 
 
-@pytest.mark.parametrize("target_spp", [7.0, 8.0])
-def test_a_discarded_pilot_counts_towards_the_size_of_the_pool(target_spp):
+@pytest.mark.parametrize("total_spp", [7.0, 8.0])
+def test_a_discarded_pilot_counts_towards_the_size_of_the_pool(total_spp):
     pool = numbered_pool()
     pilot = draw_samples(pool, pool.empty(), noise(0), 1.0)
-    samples = draw_samples(pool, pilot, noise(1) ** 4, target_spp, discard_pilot=True)
+    samples = draw_samples(pool, pilot, noise(1) ** 4, total_spp, discard_pilot=True)
     assert int(samples.counts.max()) == 8
-    assert int(samples.counts.sum()) == target_spp * 42
+    assert int(samples.counts.sum()) == total_spp * 42

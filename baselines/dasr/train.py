@@ -143,6 +143,7 @@ def training_task(variant: str, device: torch.device, seed: int) -> TrainingTask
         BUDGETS_FROM_1_SPP,
         lr_multipliers=LR_MULTIPLIERS,
         on_progress=select_stage,
+        eager_reason="the gamma distribution is drawn by a generator that the host seeds",
     )
 
 

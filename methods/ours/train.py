@@ -35,6 +35,7 @@ LR_MULTIPLIERS = {"encoder": 0.2, "sampler": 3.0}  # at 1.0 the encoder's tanh s
 FINETUNING_MULTIPLIERS = {"encoder": 2.0, "sampler": 6.0, "auxiliary_network": 25.0}
 VALUE_LR_MULTIPLIER = 25.0  # of the value of JointAppo
 SAMPLER_INTERVAL = 2  # frames between steps of the sampler
+EXPLORES = "actions and what the sampler learns from are drawn by the host"  # not recordable
 SAMPLER_WEIGHT = 0.1  # of the learner's loss; only the sampler gets it, so it matters for clipping
 
 
@@ -57,9 +58,11 @@ class ExploringMethod(MethodWrapper[Ours]):
     generator: torch.Generator = field(default_factory=torch.Generator)
     sequence: _Sequence = field(default_factory=_Sequence)
 
-    def begin_sequence(self, seed: int) -> None:
-        """Seed the noise, and draw whether this sequence has any."""
-        self.generator.manual_seed(seed)
+    def begin_sequence(self, clip: Clip) -> None:
+        """Seed the noise of a sampler by the clip, and draw whether this sequence has any."""
+        if self.method.sampler is None:
+            return
+        self.generator.manual_seed(next(iter(clip)).pool.rounding_seeds[0])
         self.sequence.noisy = bool(torch.randint(2, (), generator=self.generator))
 
     def plan(
@@ -105,7 +108,7 @@ def config_task(config: Config, traits: Traits, device: torch.device, seed: int)
     exploring = ExploringMethod(method)
 
     def losses(clip: Clip, spp: float) -> Iterator[Tensor]:
-        exploring.begin_sequence(next(iter(clip)).pool.rounding_seeds[0])
+        exploring.begin_sequence(clip)
         total, frames = torch.zeros((), device=device), 0
         episode = list(clip) if config.gamma else []
         for result in unroll(exploring, clip, spp):
@@ -139,6 +142,7 @@ def config_task(config: Config, traits: Traits, device: torch.device, seed: int)
         origin=origin,
         pretrained=("denoiser.",) if origin else (),
         auxiliary_network=auxiliary,
+        eager_reason=EXPLORES if networks.sampler is not None else "",
     )
 
 
@@ -213,6 +217,7 @@ def one_policy_task(method: Ours, device: torch.device) -> TrainingTask:
         MAX_LR,
         {**LR_MULTIPLIERS, "auxiliary_network": VALUE_LR_MULTIPLIER},
         auxiliary_network=learner.network,
+        eager_reason=EXPLORES,
     )
 
 

@@ -54,7 +54,7 @@ def label_of(name: str) -> str:
 
 def without_label(name: str) -> str:
     """The family and variant: `ours/A2` for `ours/A2@seed3`."""
-    return RowName.parse(name).method
+    return RowName.parse(name).method_name
 
 
 def training_series_of(name: str) -> str:

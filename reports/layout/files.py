@@ -1,10 +1,8 @@
-"""Files of reports: figures with their tables, and files that appear whole or not at all."""
+"""Files of reports: figures with their tables; they appear whole or not at all."""
 
 from __future__ import annotations
 
 import argparse
-import os
-import tempfile
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -14,6 +12,7 @@ import matplotlib as mpl
 from matplotlib.figure import Figure
 
 from reports.layout.style import RC
+from rlbench.system.paths import atomic_write
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -29,7 +28,7 @@ def write_figure(
             files = save_figure(draw(), folder, name)
     if table is not None:
         files.append(folder / f"{name}.csv")
-        with finished_file(files[-1]) as unfinished:
+        with atomic_write(files[-1]) as unfinished:
             table.to_csv(unfinished, index=False)
     return files
 
@@ -39,7 +38,7 @@ def save_figure(figure: Figure, folder: Path, name: str) -> list[Path]:
     undated = {"png": {}, "pdf": {"CreationDate": None}, "svg": {"Date": None}}
     files = [folder / f"{name}.{suffix}" for suffix in undated]
     for file, metadata in zip(files, undated.values(), strict=True):
-        with finished_file(file) as unfinished:
+        with atomic_write(file) as unfinished:
             figure.savefig(unfinished, dpi=150, metadata=metadata)
     return files
 
@@ -54,31 +53,12 @@ def slug(text: str) -> str:
 
 
 @contextmanager
-def finished_file(file: Path) -> Iterator[Path]:
-    """A temporary file to write to, with the suffix of `file`; at the end it becomes `file`.
-
-    If the block raises, `file` stays as it was.
-    """
-    file.parent.mkdir(parents=True, exist_ok=True)
-    handle, name = tempfile.mkstemp(dir=file.parent, prefix=f".{file.stem}", suffix=file.suffix)
-    os.close(handle)
-    temporary = Path(name)
-    try:
-        yield temporary
-        temporary.chmod(0o644)
-        temporary.replace(file)
-    except BaseException:
-        temporary.unlink(missing_ok=True)
-        raise
-
-
-@contextmanager
 def drawn_png(file: Path, size: tuple[float, float], dpi: float = 150) -> Iterator[Figure]:
     """A figure of `size` inches to draw on; at the end it becomes the PNG `file`."""
     with mpl.rc_context(RC):
         figure = Figure(figsize=size, layout="constrained")
         yield figure
-        with finished_file(file) as unfinished:
+        with atomic_write(file) as unfinished:
             figure.savefig(unfinished, dpi=dpi, metadata={})
 
 

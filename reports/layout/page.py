@@ -10,10 +10,11 @@ from typing import TYPE_CHECKING
 import pandas as pd
 
 from reports.analysis.scores import Scores, scores_by_device
-from reports.layout.files import finished_file, slug, write_figure
+from reports.layout.files import slug, write_figure
 from reports.layout.latex import PREAMBLE, escape, to_latex
 from reports.layout.tables import Table, one_line, to_markdown
 from rlbench.benchmark.results import MissingRowsError
+from rlbench.system.store import write_text
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -101,8 +102,7 @@ def write_page(
     texts = {"md": "\n".join(parts), "csv": numbers, "tex": "\n".join(floats)}
     files = [folder / f"{name}.{suffix}" for suffix in texts]
     for file, text in zip(files, texts.values(), strict=True):
-        with finished_file(file) as unfinished:
-            unfinished.write_text(text, encoding="utf-8")
+        write_text(file, text)
     return files
 
 

@@ -30,7 +30,7 @@ from rlbench.clips.exr import read_exr_header, read_planes, write_exr
 from rlbench.clips.header import Header
 from rlbench.errors import RlbenchError
 from rlbench.run import FrameResult
-from rlbench.system import documents, paths
+from rlbench.system import documents, paths, store
 
 FOLDER = "images"  # in a results folder
 RECORD = "cell.json"
@@ -132,8 +132,7 @@ def write_images(results: Path, cell: CellId, images: CellImages) -> Path:
         checksums = tuple(_write_frame(unfinished, *each) for each in enumerate(images.frames))
         identity = {"schema": SCHEMA, **asdict(cell.untimed), "checksums": checksums}
         record = identity | {name: getattr(images, name) for name in OF_CLIP}
-        with paths.atomic_write(unfinished / RECORD) as temporary:
-            temporary.write_text(json.dumps(record, indent=1))
+        store.write_text(unfinished / RECORD, json.dumps(record, indent=1))
         drop_images(results, cell)
         paths.publish_folder(unfinished, folder)
     finally:
@@ -188,13 +187,13 @@ def _read_record(folder: Path) -> KeptImages:
 
 
 def find_all_images(
-    folder: Path, methods: Sequence[str], clips: Collection[str], target_spp: Sequence[float]
+    folder: Path, methods: Sequence[str], clips: Collection[str], budgets: Sequence[float]
 ) -> list[KeptImages]:
     """The images of each method on each clip at each budget; of all seeds and devices.
 
     Raises KeptImagesError where a method, clip and budget has none.
     """
-    wanted_cells = set(product(methods, clips, target_spp))
+    wanted_cells = set(product(methods, clips, budgets))
     stored = [
         cell
         for cell in results.cells(folder)
@@ -218,7 +217,7 @@ def _explain(
     labels = sorted({f"@{name.label}" for name in names if name.label})
     options = f", with the options of its rows {', '.join(labels)}" if labels else ""
     preset = next(iter(presets), "mini") if len(presets) < 2 else "PRESET"
-    words = ["rlbench", "run", "-m", _join(name.method for name in names)]
+    words = ["rlbench", "run", "-m", _join(name.method_name for name in names)]
     words += ["--preset", preset] if preset else ["--clips", "FOLDER"]
     words += ["--scenes", _join(clip for _, clip, _ in missing)]
     words += ["--spp", _join(f"{spp:g}" for _, _, spp in missing)]

@@ -16,7 +16,7 @@ from rlbench.benchmark import cost
 from rlbench.benchmark.cell_key import CellId
 from rlbench.benchmark.cost_profile import MEASURED, read_profile
 from rlbench.benchmark.results import HELD_OUT_PREFIX
-from rlbench.benchmark.run_plan import Cell, RunPlan, list_cells, weights_file
+from rlbench.benchmark.run_plan import Cell, RunPlan, list_cells
 from rlbench.benchmark.sample_clock import clock_modules
 from rlbench.clips.header import ClipError, Header
 from rlbench.system import code_hash, provenance
@@ -40,7 +40,7 @@ class CellIds:
 
     def cell_id(self, cell: Cell) -> CellId:
         """The cell's key, and the hashes of its scores and times."""
-        plan, name, header = self.plan, cell.method, cell.header
+        plan, name, header = self.plan, cell.method_name, cell.header
         wrappers = ["rlbench.wrappers"]
         content = (
             *(name, _clip_content(cell)),
@@ -61,9 +61,14 @@ class CellIds:
         return CellId(cell.key, _short_hash(content), _short_hash(times))
 
     @cached_property
+    def cells(self) -> list[Cell]:
+        """Every cell of the plan."""
+        return list_cells(self.plan)
+
+    @cached_property
     def run_id(self) -> str:
         """Hash of the whole plan: the same command on the same content has the same."""
-        ids = repr([self.cell_id(cell) for cell in list_cells(self.plan)])
+        ids = repr([self.cell_id(cell) for cell in self.cells])
         return sha256(ids.encode()).hexdigest()[:12]
 
     @cached_property
@@ -77,7 +82,8 @@ class CellIds:
     @cached_property
     def weights_hashes(self) -> dict[str, str]:
         """Hash of each method's weights and versions of the packages that make its images."""
-        return {name: self._weights_hash(name) for name in self.plan.methods}
+        cells = {cell.method_name: cell for cell in self.cells}
+        return {name: self._weights_hash(cell) for name, cell in cells.items()}
 
     @cached_property
     def _scoring(self) -> str:
@@ -113,7 +119,7 @@ class CellIds:
     @cached_property
     def _tracing(self) -> dict[tuple[str, str], str]:
         """What times a sample of each clip and pool here; empty where the header has its time."""
-        pools = {registry.get_variant(name).traits.pool for name in self.plan.methods}
+        pools = {cell.traits.pool for cell in self.cells}
         return {
             (clip.header.name, pool): cost.tracing(clip.header, self._machine, pool)
             for clip, pool in product(self.plan.clips, pools)
@@ -135,14 +141,13 @@ class CellIds:
             return gbuffer
         return header.sample_ms_of(pool), header.sample_ms_of("path"), header.device, gbuffer
 
-    def _weights_hash(self, name: str) -> str:
-        variant, held_out = registry.get_variant(name), self.plan.held_out_scene
-        file = weights_file(self.plan, name)
-        content = "random" if variant.learned else ""
+    def _weights_hash(self, cell: Cell) -> str:
+        file, held_out = cell.weights_file, self.plan.held_out_scene
+        content = "random" if cell.variant.learned else ""
         if file is not None:
             content = f"{HELD_OUT_PREFIX}{held_out} " if held_out else ""
             content += hash_file(file)
-        parts = content, provenance.package_versions(variant.requires)
+        parts = content, provenance.package_versions(cell.variant.requires)
         return ", ".join(filter(None, parts))
 
 

@@ -6,7 +6,6 @@ of this machine's own path tracer, measured once and cached. `published` is that
 
 from __future__ import annotations
 
-import json
 import logging
 import math
 from dataclasses import dataclass, replace
@@ -17,7 +16,7 @@ from rlbench.benchmark.cost_profile import CostProfile
 from rlbench.benchmark.results import NO_GBUFFER, UNCERTAIN, WIDE, uncertainty
 from rlbench.benchmark.sample_clock import open_clock
 from rlbench.errors import RlbenchError
-from rlbench.system import paths, provenance
+from rlbench.system import paths, provenance, store
 
 if TYPE_CHECKING:
     from rlbench.benchmark.clip_sources import StoredSource
@@ -174,13 +173,9 @@ def _interval(header: Header) -> tuple[float, float]:
 def _traced_here(header: Header, machine: str, pool: str) -> tuple[float, str]:
     """Milliseconds of a sample by this machine's tracer, from the cache or now, and the tracer."""
     clock = open_clock()
-    file, tracer = paths.cache_folder() / "sample_ms.json", clock.describe()
-    times = json.loads(file.read_text()) if file.is_file() else {}
-    code = clock.describe_code(header.scene)
+    tracer, code = clock.describe(), clock.describe_code(header.scene)
     key = f"{header.scene} {header.width}x{header.height} {machine} {tracer} {code}"
     key += f" {pool}" * (pool != "path")
-    if key not in times:
-        times[key] = clock.measure_sample_ms(header.scene, header.height, header.width, pool)
-        with paths.atomic_write(file) as temporary:
-            temporary.write_text(json.dumps(times, indent=1))
-    return float(times[key]), tracer
+    measured = header.scene, header.height, header.width, pool
+    file = paths.cache_folder() / "sample_ms.json"
+    return float(store.recall(file, key, lambda: clock.measure_sample_ms(*measured))), tracer

@@ -39,7 +39,7 @@ from rlbench.errors import OptionError
 from rlbench.run import FrameResult
 from rlbench.system import provenance
 from rlbench.system.folder_lock import locked_folder
-from rlbench.system.paths import atomic_write
+from rlbench.system.store import write_text
 
 if TYPE_CHECKING:
     from metrics.comparison import Comparison
@@ -72,8 +72,7 @@ def evaluate(
     FolderInUseError where another process writes to `out`.
     """
     with locked_folder(out):
-        with atomic_write(out / UNFINISHED) as file:
-            file.touch()
+        write_text(out / UNFINISHED, "")
         summary = _evaluate(folder, cells, metrics, out, on_cell)
         (out / UNFINISHED).unlink()
         return summary

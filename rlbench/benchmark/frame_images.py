@@ -106,7 +106,7 @@ def _write_sheet(
     missing: dict[str, str] = {}
     failed: set[str] = set()
     for outcome in LOCAL.map(partial(_run_to, loader, index), cells):
-        name, error = outcome.job.method, outcome.error
+        name, error = outcome.job.method_name, outcome.error
         if isinstance(error, ImagesError):
             missing[name] = str(error)
         elif error:  # whatever a method may raise is reported beside the sheet

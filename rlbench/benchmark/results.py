@@ -152,7 +152,7 @@ class RowName:
         return cls(family, variant, label)
 
     @property
-    def method(self) -> str:
+    def method_name(self) -> str:
         """The method as on the command line: `family` or `family/variant`."""
         return f"{self.family}/{self.variant}" if self.variant else self.family
 
@@ -173,7 +173,7 @@ class RowName:
 
     def __str__(self) -> str:
         """The name as it stands in the results."""
-        return f"{self.method}@{self.label}" if self.label else self.method
+        return f"{self.method_name}@{self.label}" if self.label else self.method_name
 
 
 def write_cell(folder: Path, cell: CellId, rows: Sequence[Row]) -> Path:
@@ -257,7 +257,7 @@ def read_cell_rows(folder: Path, cell: CellId) -> list[Row]:
 
 def select_methods(rows: pd.DataFrame, names: Sequence[str]) -> pd.Series[bool]:
     """Mask of the rows of methods in `names`; rows with a label belong to their method too."""
-    methods = rows["method"].map(lambda name: RowName.parse(name).method)
+    methods = rows["method"].map(lambda name: RowName.parse(name).method_name)
     return rows["method"].isin(names) | methods.isin(names)
 
 

@@ -76,7 +76,7 @@ class Cell:
 
     key: CellKey  # row name, clip, budget, seed and device
     clip: StoredSource
-    method: str  # family or family/variant
+    method_name: str  # family or family/variant, the row name without its label
     variant: Variant
     bf16: bool  # do its networks run in bfloat16?
     backend: str  # that runs its networks
@@ -119,7 +119,7 @@ def list_cells(plan: RunPlan) -> list[Cell]:
     """Every cell of a plan, clip by clip. Raises PluginError for an unknown method."""
     device, is_short = device_name(plan.device), bool(plan.limit_frames)
     variants = {name: registry.get_variant(name) for name in plan.methods}
-    files = {name: weights_file(plan, name) for name in plan.methods}
+    files = {name: _weights_file(plan, name, each) for name, each in variants.items()}
     rows = {name: row_name(plan, name) for name in plan.methods}
     trained_on = {name: training_clips(file) for name, file in files.items()}
     return [
@@ -128,7 +128,7 @@ def list_cells(plan: RunPlan) -> list[Cell]:
                 rows[name], clip.header.name, spp, seed, device, clip.header.preset, is_short
             ),
             clip=clip,
-            method=name,
+            method_name=name,
             variant=variants[name],
             bf16=plan.bf16 and variants[name].learned,
             backend=_backend_of(plan, variants[name]),
@@ -161,10 +161,10 @@ def row_name(plan: RunPlan, name: str) -> str:
     return str(replace(RowName.parse(name), label="-".join(filter(None, parts))))
 
 
-def weights_file(plan: RunPlan, name: str) -> Path | None:
+def _weights_file(plan: RunPlan, name: str, variant: Variant) -> Path | None:
     """Path of a method's weights, which may not exist; None for random ones, or no networks."""
     weights = chosen_weights(plan, name)
-    if not registry.get_variant(name).learned or weights == "random":
+    if not variant.learned or weights == "random":
         return None
     return Path(weights) if weights else _shipped_weights(name)
 
@@ -183,22 +183,22 @@ class CellLoader:
 
     def method(self, cell: Cell) -> Method:
         """The cell's method. Raises what building it raised, the first time and every time."""
-        if cell.method not in self._methods:
-            _logger.info("%s: built with weights %s", cell.method, cell.weights_file or "none")
+        if cell.method_name not in self._methods:
+            _logger.info("%s: built with weights %s", cell.method_name, cell.weights_file or "none")
             try:
                 if cell.bf16:
                     require_native_bf16(self.plan.device)  # also on the workers of an executor
-                self._methods[cell.method] = build_method(
-                    cell.method,
+                self._methods[cell.method_name] = build_method(
+                    cell.method_name,
                     self.plan.device,
-                    chosen_weights(self.plan, cell.method),
+                    chosen_weights(self.plan, cell.method_name),
                     backend=cell.backend,
                     bf16=cell.bf16,
                     skip_tiles=cell.skip_tiles,
                 )
             except Exception as error:  # missing weights or packages: a reason for each cell
-                self._methods[cell.method] = error
-        method = self._methods[cell.method]
+                self._methods[cell.method_name] = error
+        method = self._methods[cell.method_name]
         if isinstance(method, Exception):
             raise method
         return method

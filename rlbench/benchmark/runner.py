@@ -265,15 +265,15 @@ class CellRunner:
         self.times = times
         self.keep_images = keep_images
         hashes = CellIds(plan)
-        self.cells = list_cells(plan)
+        self.cells = hashes.cells
         self.ids = {cell.key: hashes.cell_id(cell) for cell in self.cells}
         self.templates = {
             cell.key: row_template(
                 cell.key,
                 cell.header,
                 hashes.run_id,
-                hashes.code_hashes[cell.method],
-                hashes.weights_hashes[cell.method],
+                hashes.code_hashes[cell.method_name],
+                hashes.weights_hashes[cell.method_name],
                 "bfloat16" if cell.bf16 else "float32",
             )
             for cell in self.cells
@@ -342,7 +342,7 @@ class CellRunner:
 
     def failure(self, cell: Cell, error: Exception) -> CellOutput:
         """The output of a cell that an error stopped: one row with the reason."""
-        reason = registry.failure_reason(cell.method, error)
+        reason = registry.failure_reason(cell.method_name, error)
         return CellOutput([refusal_row(self.templates[cell.key], reason)], failure=reason)
 
     def _with_new_times(
@@ -354,7 +354,7 @@ class CellRunner:
         scores = drop_times(rows)
         template = replace(self.templates[cell.key], config=scores[0].config)
         if error:
-            reason = registry.failure_reason(cell.method, error)
+            reason = registry.failure_reason(cell.method_name, error)
             return CellOutput(scores + failed_time_rows(template, reason), failure=reason)
         return CellOutput(scores + self._time_rows(cell, template, scores))
 

@@ -9,13 +9,12 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from jaxtyping import Float, Float16, UInt8
+from jaxtyping import Float
 from numpy import ndarray as Array
 
 from rlbench.benchmark.cell_images import KeptCell, KeptImages, find_kept_cells
 from rlbench.benchmark.cell_key import CellKey
 from rlbench.benchmark.clip_sources import StoredSource
-from rlbench.benchmark.frame_images import LinearImage
 from rlbench.clips.stored import open_clip
 from rlbench.frames import BUFFERS
 
@@ -33,6 +32,7 @@ class ShownImages:
     device: str  # model name
     frames: Float[Array, "t 3 h w"]  # linear radiance
     counts: Float[Array, "t h w"]  # samples of each pixel; t is 0 where they are not known
+    psnr: tuple[float, ...] = ()  # dB of each frame, NaN where the results have none; or not read
 
 
 @dataclass(frozen=True)
@@ -69,7 +69,7 @@ def find_shown_clips(
     folder: Path,
     clips: Sequence[StoredSource],
     methods: Collection[str],
-    target_spp: Collection[float],
+    budgets: Collection[float],
     buffers: Collection[str] = BUFFERS,
 ) -> ShownClips:
     """Each of `clips` with the images that a results folder keeps of these methods and budgets.
@@ -82,7 +82,7 @@ def find_shown_clips(
     for kept in sorted(
         find_kept_cells(folder, clips, methods), key=lambda kept: kept.cell.key.seed
     ):
-        if kept.cell.key.target_spp in target_spp:
+        if kept.cell.key.target_spp in budgets:
             first.setdefault(replace(kept.cell.key, seed=0, device=""), kept)
     images = [
         tuple(kept.images for kept in first.values() if kept.clip.folder == clip.folder)
@@ -129,54 +129,22 @@ def _read_images(kept: KeptImages) -> ShownImages:
     )
 
 
-@dataclass(frozen=True)
-class DisplayImages:
-    """The output of one method on all frames of a clip."""
+def at_budget(
+    clip: ShownClip, methods: Sequence[str], target_spp: float, scores: pd.DataFrame
+) -> ShownClip:
+    """The clip with the images of `methods` alone, in their order, at one budget, with their PSNR.
 
-    name: str  # of the rows
-    frames: UInt8[Array, "t h w 3"]  # clipped sRGB; pixels that are not finite are magenta
-    counts: Float16[Array, "t h w"]  # samples of each pixel
-    psnr: tuple[float, ...]  # dB of each frame; NaN where the results have none
-
-
-@dataclass(frozen=True)
-class DisplayClip:
-    """A clip with the images of some methods at one budget."""
-
-    name: str
-    target_spp: float
-    rows: tuple[DisplayImages, ...]
-    reference: UInt8[Array, "t h w 3"] | None  # clipped sRGB
-
-
-def display_clips(
-    clip: ShownClip,
-    methods: Sequence[str],
-    target_spp: Collection[float],
-    scores: pd.DataFrame,
-    with_reference: bool = False,
-) -> Iterator[DisplayClip]:
-    """The images of `methods`, in their order, at each budget; `scores` are rows of the results.
-
-    All of them must be among the images of `clip`.
+    `scores` are rows of the results. All methods must be among the images of `clip`.
     """
-    reference = _to_display(clip.reference) if with_reference else None
     by_key = {(each.method, each.target_spp): each for each in clip.images}
-    for spp in target_spp:
-        rows = (_display_images(by_key[method, spp], clip.name, scores) for method in methods)
-        yield DisplayClip(clip.name, spp, tuple(rows), reference)
+    images = (by_key[method, target_spp] for method in methods)
+    return replace(clip, images=tuple(_with_psnr(each, clip.name, scores) for each in images))
 
 
-def _display_images(images: ShownImages, clip: str, scores: pd.DataFrame) -> DisplayImages:
+def _with_psnr(images: ShownImages, clip: str, scores: pd.DataFrame) -> ShownImages:
     is_own = (scores["method"] == images.method) & (scores["clip"] == clip)
     is_own &= (scores["target_spp"] == images.target_spp) & (scores["seed"] == images.seed)
     is_own &= (scores["device"] == images.device) & (scores["metric"] == "psnr")
     by_frame = scores[is_own].set_index("frame")["value"].to_dict()
     psnr = tuple(by_frame.get(frame, math.nan) for frame in range(len(images.frames)))
-    return DisplayImages(images.method, _to_display(images.frames), images.counts, psnr)
-
-
-def _to_display(frames: Float[Array, "t 3 h w"]) -> UInt8[Array, "t h w 3"]:
-    return np.stack(
-        [LinearImage(np.moveaxis(frame.astype(np.float32), 0, -1)).rgb8 for frame in frames]
-    )
+    return replace(images, psnr=psnr)

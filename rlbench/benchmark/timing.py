@@ -122,7 +122,7 @@ class TimingCache:
         size, is_moving = (header.height, header.width), header.frames > 1 and not header.static
         fetched = header.pool_spp, cell.clip.cost_key
         content = header.name if cell.skip_tiles else ""
-        return cell.method, size, cell.spp, is_moving, *fetched, content
+        return cell.method_name, size, cell.spp, is_moving, *fetched, content
 
     def timing(self, cell: Cell) -> Timing:
         """Times of a cell that `measure_all` has measured."""
@@ -133,7 +133,7 @@ class TimingCache:
         is_published = cell.backend == EAGER and not (cell.bf16 or cell.skip_tiles)
         if self.profile is None or not is_published:
             return None
-        return self.profile.inference(cell.method, cell.header.height, cell.header.width)
+        return self.profile.inference(cell.method_name, cell.header.height, cell.header.width)
 
     def cost(self, cell: Cell) -> Cost:
         """Cost of a cell's samples and G-buffer, with the factor of its scattered samples."""

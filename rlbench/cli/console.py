@@ -31,7 +31,7 @@ def measuring(plan: RunPlan) -> Iterator[ProgressCallbacks]:
         task = bar.add_task("measuring", total=len(list_cells(plan)))
 
         def on_cell(cell: Cell) -> None:
-            status = f"{cell.method} on {cell.header.name}, {cell.spp:g} spp"
+            status = f"{cell.method_name} on {cell.header.name}, {cell.spp:g} spp"
             bar.update(task, advance=1, description=status)
 
         def on_timing(done: int, total: int) -> None:

@@ -15,6 +15,7 @@ from rlbench import registry
 from rlbench.benchmark.clip_sources import StoredSource
 from rlbench.benchmark.run_plan import RunPlan, row_name
 from rlbench.benchmark.runner import ProgressCallbacks, RunSummary, measure
+from rlbench.cli.methods import pool_kinds
 from rlbench.clips.presets import find_preset
 from rlbench.clips.rendering import render_preset_clips
 from rlbench.training import dataset
@@ -69,7 +70,7 @@ def folds(preset: str, scenes: Sequence[str], names: Sequence[str]) -> list[Fold
     Training clips have the sample pools that the methods `names` draw from. Raises OptionError if
     the preset lacks one of the scenes.
     """
-    pools = {registry.get_variant(name).traits.pool for name in names}
+    pools = pool_kinds(names)
     known = find_preset(preset)
     preset_scenes = known.scenes if known else ()
     return [

@@ -157,7 +157,7 @@ def _lacking(method: str, channels: Collection[str]) -> str:
     from rlbench.benchmark.results import RowName
 
     try:
-        inputs = registry.get_variant(RowName.parse(method).method).traits.inputs
+        inputs = registry.get_variant(RowName.parse(method).method_name).traits.inputs
     except registry.PluginError:
         return "it is not installed, so its inputs are not known; name its file with --plugin"
     return f"it needs {', '.join(missing)}" if (missing := sorted(inputs - set(channels))) else ""

@@ -44,7 +44,8 @@ def new(
       rlbench new my_method --learned --metric --scene
       rlbench new my_method --out ~/research/my_method
     """
-    from rlbench.system.paths import atomic_write, check_writable
+    from rlbench.system.paths import check_writable
+    from rlbench.system.store import write_text
 
     folder = out or Path(name)
     _check_name(name)
@@ -55,8 +56,7 @@ def new(
     templates = ["common", "learned" if training else "plain", *filter(extras.get, extras)]
     files = _fill_templates(templates, name)
     for path, text in files.items():
-        with atomic_write(folder / path) as file:
-            file.write_text(text)
+        write_text(folder / path, text)
     third = f"rlbench train -m {name} --quick" if training else f"rlbench run -m {name},mean"
     typer.echo(f"wrote {len(files)} files to {folder}; begin with {name}/method.py. Next:\n")
     for command in (f"cd {folder} && pip install -e .", f"rlbench check {name}", third):

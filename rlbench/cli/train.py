@@ -91,6 +91,9 @@ def train(
     crop: options.Crop = TrainingConfig.crop,
     train_spp: options.TrainSpp = options.DEFAULT_TRAIN_SPP,
     bf16: options.TrainBf16 = False,
+    graph: Annotated[
+        bool, flag(TRAINING, "--graph", "record each step as a CUDA graph; never run on a GPU yet")
+    ] = False,
     max_grad_norm: options.MaxGradNorm = 1.0,
     seed: options.TrainSeed = 0,
     eval_interval: Annotated[

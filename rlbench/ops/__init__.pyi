@@ -9,7 +9,7 @@ from .accumulation import (
 )
 from .affinity import affinity_sum, cross_affinity_sum
 from .antilag import history_confidence
-from .asking import is_recorded, may_ask
+from .asking import is_recorded, may_ask, next_age
 from .color import OIDN_LUMINANCE, REC709_LUMINANCE, decode_srgb, encode_srgb, luminance
 from .demodulation import (
     demodulation_albedo,
@@ -131,4 +131,5 @@ __all__ = [
     "weigh_by_similarity",
     "is_recorded",
     "may_ask",
+    "next_age",
 ]

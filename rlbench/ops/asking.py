@@ -12,18 +12,24 @@ from __future__ import annotations
 import torch
 from torch import Tensor, nn
 
-__all__ = ["is_recorded", "may_ask", "next_age"]
+__all__ = ["is_recorded", "is_recording", "may_ask", "next_age"]
+
+
+def is_recording() -> bool:
+    """True while torch.compile or a CUDA graph records what happens here."""
+    if torch.compiler.is_compiling():
+        return True
+    has_cuda = torch.version.cuda is not None
+    return has_cuda and torch.cuda.is_current_stream_capturing()
 
 
 def is_recorded(values: Tensor) -> bool:
-    """Are operations on `values` recorded: by torch.compile, on fake tensors or in a CUDA graph?
+    """True if operations on `values` are recorded: by torch.compile or a CUDA graph, or on fakes.
 
     Every subclass of Tensor counts: a `FakeTensor` has no values, and others stand for tensors
     that something else computes.
     """
-    if torch.compiler.is_compiling() or type(values) not in (Tensor, nn.Parameter):
-        return True
-    return values.is_cuda and torch.cuda.is_current_stream_capturing()
+    return is_recording() or type(values) not in (Tensor, nn.Parameter)
 
 
 def may_ask(values: Tensor) -> bool:

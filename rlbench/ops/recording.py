@@ -81,6 +81,11 @@ class Tape(Generic[T]):
         """Record `function`."""
         self._replay, self._returned = recorder.record(function)
 
+    @property
+    def returns_something(self) -> bool:
+        """True unless the function returned None."""
+        return self._returned is not None
+
     def run(self) -> T:
         """A copy of what the function returns for the values that its inputs have now."""
         self._replay()

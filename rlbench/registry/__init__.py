@@ -3,7 +3,6 @@
 from rlbench.errors import PluginError
 from rlbench.registry.discovery import (
     GROUPS,
-    METHODS_VARIABLE,
     list_entries,
     module_file,
     resolve,
@@ -44,7 +43,6 @@ from rlbench.registry.stand_ins import import_failure
 
 __all__ = [
     "GROUPS",
-    "METHODS_VARIABLE",
     "PluginEntry",
     "PluginError",
     "PluginExitError",

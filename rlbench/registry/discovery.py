@@ -1,11 +1,9 @@
 """Finds plugins by name, without importing them.
 
-Plugins come from three places: entry points of installed packages (`rlbench.methods` and so on),
-the variable RLBENCH_METHODS="name=module:FAMILY,...", and plugin files given with
-`--plugin path.py`, which define `FAMILY` or a list `METHODS` of families, and `METRIC` or a list
-`METRICS`. In a plugin file
-`my_method.py`, `build="my_method:build"` names its own function, even if an installed module is
-also called `my_method`.
+Plugins come from two places: entry points of installed packages (`rlbench.methods` and so on), and
+plugin files given with `--plugin path.py`, which define `FAMILY` or a list `METHODS` of families,
+and `METRIC` or a list `METRICS`. In a plugin file `my_method.py`, `build="my_method:build"` names
+its own function, even if an installed module is also called `my_method`.
 
 No plugin overwrites another: one name with two targets is an error that states both origins. A
 plugin that cannot be imported is listed, and raises its own error when it is loaded.
@@ -17,7 +15,6 @@ import importlib
 import importlib.metadata
 import importlib.util
 import logging
-import os
 import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -44,8 +41,6 @@ GROUPS = (
 )  # fmt: skip
 _logger = logging.getLogger(__name__)
 
-METHODS_VARIABLE = "RLBENCH_METHODS"  # environment variable with further methods
-
 
 def plugin_file_error(path: str | Path) -> str | None:
     """The error and its line if a plugin file cannot be imported, else None."""
@@ -66,7 +61,6 @@ def list_entries(group: str) -> dict[str, PluginEntry]:
         raise PluginError(f"'{group}' is not a kind of plugin; there are: {', '.join(GROUPS)}")
     candidates = installed_entries(group)
     if group == "methods":
-        candidates += _variable_entries(os.environ.get(METHODS_VARIABLE, ""))
         candidates += [entry for file in plugin_files() for entry in file_entries(file)]
     if group == "metrics":
         candidates += [entry for file in plugin_files() for entry in metric_entries(file)]
@@ -151,18 +145,6 @@ def _naming_what_shadows(module: str) -> Iterator[None]:
 
 def _origin(point: importlib.metadata.EntryPoint) -> str:
     return point.dist.name if point.dist else "an unnamed package"
-
-
-def _variable_entries(text: str) -> list[PluginEntry]:
-    plugins = []
-    for item in filter(None, (part.strip() for part in text.split(","))):
-        name, equals, target = item.partition("=")
-        if not (name and equals and ":" in target):
-            raise PluginError(
-                f"{METHODS_VARIABLE} has the item '{item}'; an item is written name=module:FAMILY"
-            )
-        plugins.append(PluginEntry(name, target, METHODS_VARIABLE, partial(resolve, target)))
-    return plugins
 
 
 def _shadowing_reason(module: str) -> str:

@@ -26,7 +26,7 @@ class PluginEntry:
 
     name: str
     target: str  # module:attribute, or the path of a plugin file
-    origin: str  # the distribution, the variable or the file that brings it
+    origin: str  # the distribution or the file that brings it
     load: Callable[[], Any] = field(compare=False, repr=False)
 
 

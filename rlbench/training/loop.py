@@ -14,9 +14,12 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any, NamedTuple
 
+import torch
+
 from rlbench import registry
 from rlbench.clips.in_memory import InMemoryClip
 from rlbench.clips.stored import open_clip
+from rlbench.ops.recording import CudaGraphs
 from rlbench.system.folder_lock import locked_folder
 from rlbench.system.process_settings import keep_freed_memory
 from rlbench.training import checkpoint, dataset
@@ -92,7 +95,12 @@ def train(
     sets = _name_sets(validation_clips, config.keep)
     keep_freed_memory()
     task: TrainingTask = registry.training_task(method, device, config.seed)
-    state = TrainState(task := start_from(task, start) if start else task, config, device)
+    state = TrainState(
+        task := start_from(task, start) if start else task,
+        config,
+        device,
+        _select_recorder(config, device),
+    )
     batches = Batches.from_config(train_clips, config, task.method.traits, device, mixed_in)
     _check_clips(method, [*train_clips, *mixed_in], sets, config.crop, config.spp or task.spp)
     limits = _describe_small_pools(method, batches, config.spp or task.spp)
@@ -137,6 +145,15 @@ def _check_budgets(method: str, config: TrainingConfig) -> None:
     for spp in config.spp:
         if reason := traits.unsupported_reason(spp):
             raise TrainingError(f"'{method}' cannot be trained at {spp:g} spp: {reason}")
+
+
+def _select_recorder(config: TrainingConfig, device: str) -> CudaGraphs | None:
+    """What records steps, if the config asks for it. Raises TrainingError unless on a GPU."""
+    if config.graph and torch.device(device).type != "cuda":
+        raise TrainingError(
+            f"--graph records CUDA graphs, and cannot run on {device}; add --device cuda"
+        )
+    return CudaGraphs() if config.graph else None
 
 
 def _name_sets(

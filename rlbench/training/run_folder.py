@@ -20,7 +20,7 @@ from typing import TYPE_CHECKING, Any
 
 from rlbench import registry
 from rlbench.errors import OptionError, PluginError
-from rlbench.system import paths
+from rlbench.system.store import read_text, write_text
 
 if TYPE_CHECKING:
     from rlbench.training.checkpoint import Progress
@@ -134,7 +134,7 @@ def _measure_speed(log: Path, status: dict[str, Any]) -> float:
 
 def _last_lines(log: Path) -> Iterator[dict[str, Any]]:
     """The complete ones of the last lines of a log."""
-    lines = log.read_text().splitlines(keepends=True) if log.exists() else []
+    lines = read_text(log).splitlines(keepends=True)
     yield from (json.loads(line) for line in lines[-SPEED_LINES:] if line.endswith("\n"))
 
 
@@ -204,8 +204,7 @@ class TrainingLogger:
             "best": progress.best,
             "finished": progress.fraction_done >= 1,
         }
-        with paths.atomic_write(self.status) as temporary:
-            temporary.write_text(json.dumps(status))
+        write_text(self.status, json.dumps(status))
 
     def close(self) -> None:
         """Close TensorBoard's file."""
@@ -235,9 +234,8 @@ def _open_tensorboard(folder: Path, frames_seen: int) -> Any:
 
 def _truncate_log(log: Path, frames_seen: int) -> None:
     """Drop lines that were written after `frames_seen` frames, or are incomplete."""
-    lines = log.read_text().splitlines(keepends=True) if log.exists() else []
+    lines = read_text(log).splitlines(keepends=True)
     complete = [line for line in lines if line.endswith("\n")]
     valid = [line for line in complete if json.loads(line)["frames_seen"] <= frames_seen]
     if valid != lines:
-        with paths.atomic_write(log) as temporary:
-            temporary.write_text("".join(valid))
+        write_text(log, "".join(valid))

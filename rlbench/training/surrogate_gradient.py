@@ -108,11 +108,12 @@ def relaxed_counts(
     """
     if spp == 0:
         return density * 0
-    smallest, low = int(min_counts.min()), min_counts.to(density.dtype)
+    smallest, low = min_counts.min().double(), min_counts.to(density.dtype)
     with torch.no_grad():
-        first = smallest or spp / 1000  # a multiplier at which the mean is at most `spp`
-        below = torch.full_like(density[:, :, :1, :1], math.log(first))
-        above = below + math.log(max_count / first) - MIN_LOG_DENSITY
+        # a multiplier at which the mean is at most `spp`
+        first = torch.where(smallest > 0, smallest, spp / 1000).log()
+        below = first.to(density.dtype).expand_as(density[:, :, :1, :1])
+        above = below + (math.log(max_count) - first).to(density.dtype) - MIN_LOG_DENSITY
         for _ in range(BISECTIONS):
             middle = (below + above) / 2
             over = _clip(density, middle, low, max_count).mean((2, 3), keepdim=True) > spp

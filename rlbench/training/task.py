@@ -76,7 +76,7 @@ WARM_UP_FRACTION = 0.15  # of the frames, in which the learning rate rises
 START_FACTOR, END_FACTOR = 1 / 25, 1e-4  # first and last learning rate, relative to the peak
 
 # fields that are stored only where they are chosen
-OPTIONAL = ("spp", "mix", "keep", "anchor", "anneal")
+OPTIONAL = ("spp", "mix", "keep", "anchor", "anneal", "graph")
 
 
 class TrainingError(RlbenchError, RuntimeError):
@@ -111,6 +111,7 @@ class TrainingTask:
     pretrained: tuple[str, ...] = ()
     auxiliary_network: nn.Module | None = None
     frames_before: int = 0  # that the initial weights were trained on, over all starts
+    eager_reason: str = ""  # why its steps cannot be recorded: what asks the device; else empty
 
 
 @dataclass(frozen=True)
@@ -135,6 +136,7 @@ class TrainingConfig:
     anchor: float = 0.0
     # minutes of training in which the learning rate rises and falls, in place of `frames`; 0: none
     anneal: float = 0.0
+    graph: bool = False  # record each step as a CUDA graph, where the task allows it
 
     @classmethod
     def from_dict(cls, stored: Mapping[str, Any]) -> TrainingConfig:

@@ -18,8 +18,10 @@ from rlbench import registry
 from rlbench.clips.stored import open_clip
 from rlbench.frames import Clip
 from rlbench.method import Method
+from rlbench.ops.recording import Recorder
 from rlbench.run import run_clip
 from rlbench.training.checkpoint import select_prefix
+from rlbench.training.recorded_steps import Backward, RecordedSteps
 from rlbench.training.task import TrainingConfig, TrainingError, TrainingTask
 
 DEFAULT_BUDGETS = (1.0, 4.0)  # of a validation, samples per pixel
@@ -85,8 +87,14 @@ class TrainState:
     such as those of new channels, are free.
     """
 
-    def __init__(self, task: TrainingTask, config: TrainingConfig, device: str) -> None:
-        """Start from the weights in `task.networks`.
+    def __init__(
+        self,
+        task: TrainingTask,
+        config: TrainingConfig,
+        device: str,
+        recorder: Recorder | None = None,
+    ) -> None:
+        """Start from the weights in `task.networks`; with a recorder, steps are recorded.
 
         Raises TrainingError for an anchor where no weight was trained before.
         """
@@ -104,6 +112,10 @@ class TrainState:
         if task.auxiliary_network is not None:
             self._modules["the auxiliary network"] = task.auxiliary_network
         self._anchors = self._find_anchors() if config.anchor else []
+        self._losses: Backward = self._backward
+        if recorder and not task.eager_reason:
+            weights = [each for group in self.optimizer.param_groups for each in group["params"]]
+            self._losses = RecordedSteps(self._backward, weights, recorder)
 
     @property
     def ema_networks(self) -> nn.Module:
@@ -128,14 +140,12 @@ class TrainState:
         for group in self.optimizer.param_groups:
             group["lr"] = self.task.max_lr * group["lr_multiplier"] * lr_factor
         self.task.on_progress(fraction_done)
-        losses = self.task.losses(clip, spp)
         total, count = torch.zeros((), device=self.device), 0
-        while (loss := self._forward(losses)) is not None:
-            self._backward(loss)
+        for loss in self._losses(clip, spp):
             self._clip_gradients(loss, count)
             self._step()
             self._update_ema()
-            total, count = total + loss.detach(), count + 1
+            total, count = total + loss, count + 1
         return total.item() / max(count, 1)
 
     def validate(self, sets: Mapping[str, Sequence[Path]]) -> ValidationResult:
@@ -188,9 +198,13 @@ class TrainState:
         with torch.autocast(self.device.type, torch.bfloat16, enabled=self.config.bf16):
             return next(losses, None)
 
-    def _backward(self, loss: Tensor) -> None:
-        self.optimizer.zero_grad()
-        loss.backward()  # type: ignore[no-untyped-call]
+    def _backward(self, clip: Clip, spp: float) -> Iterator[Tensor]:
+        """Each loss of a clip, with its gradients in the weights."""
+        losses = self.task.losses(clip, spp)
+        while (loss := self._forward(losses)) is not None:
+            self.optimizer.zero_grad()
+            loss.backward()  # type: ignore[no-untyped-call]
+            yield loss.detach()
 
     def _clip_gradients(self, loss: Tensor, step: int) -> None:
         """Scale long gradients down. Raises NonFiniteStepError, after one look at all values."""
@@ -201,7 +215,7 @@ class TrainState:
             )
             for name, ws in weights.items()
         }
-        quantities = {"loss": loss.detach(), **norms}
+        quantities = {"loss": loss, **norms}
         # the norm of no gradients lies on the CPU
         floats = [value.to(loss.device, torch.float32) for value in quantities.values()]
         values = torch.stack(floats).tolist()

@@ -270,7 +270,7 @@ def test_rows_with_a_label_belong_to_their_method(names, expected):
 def test_a_name_is_parsed_as_it_is_printed(text, parts):
     assert RowName.parse(text) == RowName(*parts)
     assert str(RowName(*parts)) == text
-    assert RowName.parse(text).method == text.partition("@")[0]
+    assert RowName.parse(text).method_name == text.partition("@")[0]
 
 
 @pytest.mark.parametrize(

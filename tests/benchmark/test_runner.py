@@ -265,7 +265,7 @@ def test_all_missing_cells_are_timed_together_before_the_first_is_scored(clip_fo
     measure(
         run_plan(clip_folder, "mean", "eaw"),
         tmp_path / "r",
-        on_cell=lambda cell: seen.append(cell.method),
+        on_cell=lambda cell: seen.append(cell.method_name),
         on_timing=lambda done, total: seen.append((done, total)),
     )
     assert seen == [(0, 2), (1, 2), (2, 2), "mean", "eaw"]

@@ -9,7 +9,6 @@ from pathlib import Path
 import pytest
 import typer
 
-from rlbench import registry
 from rlbench.benchmark.run_options import RunOptions
 from rlbench.cli import arguments
 from rlbench.cli.arguments import WeightsChoice
@@ -20,23 +19,24 @@ from rlbench.cli.run import run
 from rlbench.cli.train import train
 from rlbench.cli.verbosity import set_verbosity
 from rlbench.training import TrainingConfig
+from tests.conftest import install_plugin
 
 
 @pytest.mark.parametrize(
     ("command", "record", "lacks"),
-    [  # what a command fills in itself
-        (run, RunOptions, {"executor", "on_cell", "seeds", "weights_for", "weights_label"}),
-        (train, TrainingConfig, {"ema_decay", "sequence_length", "spp"}),
+    [  # what a command fills in itself, or leaves as it is
+        (run, RunOptions, "executor on_cell seeds weights_for weights_label"),
+        (train, TrainingConfig, "ema_decay sequence_length spp"),
         (
             crossval,
             TrainingConfig,
-            {"anchor", "anneal", "ema_decay", "eval_interval", "keep", "mix", "sequence_length"},
+            "anchor anneal ema_decay eval_interval graph keep mix sequence_length",
         ),
     ],
 )
 def test_a_command_has_the_options_of_its_record_and_their_defaults(command, record, lacks):
     options = inspect.signature(command).parameters
-    assert {each.name for each in fields(record)} - options.keys() == lacks
+    assert {each.name for each in fields(record)} - options.keys() == set(lacks.split())
     known = {each.name: each.default for each in fields(record)}
     defaults = {name: each.default for name, each in options.items() if name in known}
     unset = (None, SHIPPED)  # what the command replaces
@@ -142,8 +142,8 @@ def test_values_that_are_no_text_are_unchanged():
     assert arguments.parse_positive(1.5) == 1.5
 
 
-def test_all_skips_a_broken_family_and_says_so(monkeypatch, capsys):
-    monkeypatch.setenv(registry.METHODS_VARIABLE, "torn=nowhere_at_all:FAMILY")
+def test_all_skips_a_broken_family_and_says_so(tmp_path, monkeypatch, capsys):
+    install_plugin(tmp_path, monkeypatch, "methods", "torn = nowhere_at_all:FAMILY")
     set_verbosity(verbose=False, quiet=False)  # as the program does before each command
     names = expand_methods(["all"])
     assert "mean" in names

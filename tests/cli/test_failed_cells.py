@@ -8,9 +8,8 @@ from rlbench import registry
 from rlbench.api import run as rlbench_run
 from rlbench.benchmark import results
 from rlbench.benchmark.run_outcome import RunWarning
-from rlbench.registry import METHODS_VARIABLE
 from tests.cli.runner import rlbench
-from tests.conftest import write_noise, write_plugin
+from tests.conftest import install_plugin, write_noise, write_plugin
 
 UNIFORM = "return torch.ones_like(samples.counts, dtype=torch.float32)"
 EXIT = "PluginExitError: plugin code called sys.exit(3)"
@@ -147,11 +146,13 @@ def test_a_plugin_file_that_cannot_be_imported_costs_its_own_cells(clips, tmp_pa
     assert f"FAILED: 1 cell stopped by an error ({broken} on whole at 1 spp" in output
 
 
-def test_an_installed_method_that_cannot_be_imported_costs_its_own_cells(clips, monkeypatch):
-    monkeypatch.setenv(METHODS_VARIABLE, "gone=no_such_package:FAMILY")
+def test_an_installed_method_that_cannot_be_imported_costs_its_own_cells(
+    clips, tmp_path, monkeypatch
+):
+    install_plugin(tmp_path, monkeypatch, "methods", "gone = no_such_package:FAMILY")
     run(clips, "mean,gone")
     assert scored(clips) == {("mean", "whole")}
-    assert f"gone from {METHODS_VARIABLE} cannot be imported" in notes(clips)["gone", "whole"]
+    assert "gone from strange cannot be imported" in notes(clips)["gone", "whole"]
 
 
 def test_a_method_that_cannot_be_imported_is_measured_once_it_can(clips, tmp_path):

@@ -13,9 +13,8 @@ from typer.testing import CliRunner
 from rlbench.benchmark.listing import list_installed
 from rlbench.cli import list_
 from rlbench.cli.app import app
-from rlbench.registry import METHODS_VARIABLE
 from tests.cli.runner import rlbench
-from tests.conftest import write_plugin
+from tests.conftest import install_plugin, write_plugin
 
 
 def list_json(*words: object) -> dict[str, list[dict[str, object]]]:
@@ -63,11 +62,7 @@ def test_a_broken_plugin_is_listed_with_its_error(tmp_path):
 
 
 def test_an_installed_report_without_its_module_is_listed_as_broken(tmp_path, monkeypatch):
-    information = tmp_path / "figures-1.dist-info"
-    information.mkdir()
-    (information / "METADATA").write_text("Metadata-Version: 2.1\nName: figures\nVersion: 1\n")
-    (information / "entry_points.txt").write_text("[rlbench.reports]\nlost = no_figures:write\n")
-    monkeypatch.syspath_prepend(str(tmp_path))
+    install_plugin(tmp_path, monkeypatch, "reports", "lost = no_figures:write", "figures")
     output = rlbench("list", "reports", code=1)
     assert "lost (from figures) cannot be imported: no module 'no_figures'" in output
 
@@ -96,8 +91,7 @@ def test_an_installed_plugin_that_exits_is_listed_as_broken(
     tmp_path, monkeypatch, statement, message
 ):
     (tmp_path / "exits.py").write_text(statement)
-    monkeypatch.syspath_prepend(str(tmp_path))
-    monkeypatch.setenv(METHODS_VARIABLE, "gone=exits:FAMILY")
+    install_plugin(tmp_path, monkeypatch, "methods", "gone = exits:FAMILY")
     assert f"cannot be imported: PluginExitError: {message}" in rlbench("list", "methods", code=1)
     assert message in rlbench("run", "-m", "gone", "--out", tmp_path / "r", code=2)
 

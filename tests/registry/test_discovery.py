@@ -1,4 +1,4 @@
-"""Plugins are found by entry points and by the variable; none replaces another."""
+"""Plugins are found by entry points and in files; none replaces another."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ import pytest
 from rlbench import registry
 from rlbench.family import Family
 from rlbench.registry import PluginError
-from tests.conftest import write_plugin
+from tests.conftest import install_plugin, write_plugin
 from tests.registry.subprocesses import run_python
 
 
@@ -23,20 +23,6 @@ def test_every_group_has_plugins_of_our_own(group):
 def test_the_error_for_an_unknown_group_lists_the_groups():
     with pytest.raises(PluginError, match="there are: methods, metrics, reports, image_reports"):
         registry.list_plugins("denoisers")
-
-
-def test_the_variable_adds_families(tmp_path, monkeypatch):
-    write_plugin(tmp_path / "by_variable.py", "mine")
-    monkeypatch.syspath_prepend(tmp_path)
-    monkeypatch.setenv(registry.METHODS_VARIABLE, "mine=by_variable:FAMILY")
-    assert registry.load_family("mine").title == "A title"
-
-
-@pytest.mark.parametrize("text", ["mine", "mine=module", "=module:FAMILY"])
-def test_the_error_for_a_malformed_variable_states_the_format(text, monkeypatch):
-    monkeypatch.setenv(registry.METHODS_VARIABLE, text)
-    with pytest.raises(PluginError, match="an item is written name=module:FAMILY"):
-        registry.list_plugins("methods")
 
 
 def test_a_plugin_cannot_replace_a_built_in_method(tmp_path):
@@ -81,9 +67,5 @@ def test_an_installed_package_is_found_by_its_entry_point(tmp_path):
 
 def test_an_entry_point_of_a_package_on_the_path_is_found(tmp_path, monkeypatch):
     write_plugin(tmp_path / "stranger.py", "stranger")
-    info = tmp_path / "strange-1.dist-info"
-    info.mkdir()
-    (info / "METADATA").write_text("Metadata-Version: 2.1\nName: strange\nVersion: 1\n")
-    (info / "entry_points.txt").write_text("[rlbench.methods]\nstranger = stranger:FAMILY\n")
-    monkeypatch.syspath_prepend(tmp_path)
+    install_plugin(tmp_path, monkeypatch, "methods", "stranger = stranger:FAMILY")
     assert isinstance(registry.load_family("stranger"), Family)

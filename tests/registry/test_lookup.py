@@ -6,6 +6,7 @@ import pytest
 
 from rlbench import registry
 from rlbench.registry import PluginError
+from tests.conftest import install_plugin
 from tests.registry.subprocesses import run_python
 
 
@@ -33,8 +34,7 @@ def test_the_error_for_a_metric_that_cannot_be_imported_names_it(monkeypatch):
 
 def test_an_object_that_is_not_a_family_is_refused(tmp_path, monkeypatch):
     (tmp_path / "no_family.py").write_text("FAMILY = 3")
-    monkeypatch.syspath_prepend(tmp_path)
-    monkeypatch.setenv(registry.METHODS_VARIABLE, "mine=no_family:FAMILY")
+    install_plugin(tmp_path, monkeypatch, "methods", "mine = no_family:FAMILY")
     with pytest.raises(
         PluginError, match="no_family:FAMILY is an object of type int, not a Family"
     ):

@@ -13,7 +13,7 @@ from matplotlib.figure import Figure
 from scipy.optimize import isotonic_regression
 
 from reports.layout.curve_labels import label_curves, label_width, longest_rise, spread_labels
-from reports.layout.files import finished_file, slug
+from reports.layout.files import slug
 from reports.layout.latex import MAX_ROWS, PREAMBLE, to_latex
 from reports.layout.page import MAX_LINES, Section, write_page
 from reports.layout.style import FAMILY_COLOURS, line_styles
@@ -159,23 +159,6 @@ def test_the_width_of_a_label_is_enough_for_its_drawn_text_and_little_more(name)
 )
 def test_a_line_joins_the_longest_rise(times, expected):
     assert longest_rise(times) == expected
-
-
-def test_a_file_has_its_new_content_after_the_block_or_stays_as_it_was(tmp_path):
-    file = tmp_path / "new" / "a.txt"
-    with finished_file(file) as temporary:
-        temporary.write_text("all of it")
-        assert not file.exists()
-
-    def write_half():
-        with finished_file(file) as temporary:
-            temporary.write_text("half")
-            raise ZeroDivisionError
-
-    with pytest.raises(ZeroDivisionError):
-        write_half()
-    assert file.read_text() == "all of it"
-    assert list(file.parent.iterdir()) == [file]
 
 
 def test_a_slug_has_no_special_characters():

@@ -20,7 +20,8 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 from rlbench.benchmark.results import COLUMNS, DEFAULTS, WHOLE_CLIP
 from rlbench.errors import RlbenchError
-from rlbench.system import documents, paths
+from rlbench.system import documents
+from rlbench.system.store import write_text
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -149,8 +150,7 @@ def write_baseline(baseline: Baseline, path: Path) -> None:
     ]
     lines = ",\n".join(f"    {json.dumps(entry, allow_nan=False)}" for entry in entries)
     opening = json.dumps(head, indent=2).removesuffix("\n}")
-    with paths.atomic_write(path) as temporary:
-        temporary.write_text(f'{opening},\n  "entries": [\n{lines}\n  ]\n}}\n', encoding="utf-8")
+    write_text(path, f'{opening},\n  "entries": [\n{lines}\n  ]\n}}\n')
 
 
 def _decode(document: dict[str, Any]) -> Baseline:

@@ -323,7 +323,7 @@ def _configuration(name: str) -> Configuration:
     from rlbench.benchmark.speed import Configuration
 
     row = RowName.parse(name)
-    return Configuration(row.method, row.options.backend, row.options.bf16)
+    return Configuration(row.method_name, row.options.backend, row.options.bf16)
 
 
 def _is_known(name: str) -> bool:
@@ -336,7 +336,7 @@ def _is_known(name: str) -> bool:
 
     row = RowName.parse(name)
     try:
-        registry.get_variant(row.method)
+        registry.get_variant(row.method_name)
     except PluginError:
         return False
     return not row.options.weights and not row.options.skip_tiles

@@ -155,7 +155,7 @@ def _compute(key: FrameKey, clip: StoredSource) -> LinearImage:
             "rlbench run --keep-images"
         )
     plan = RunPlan(
-        (row.method,),
+        (row.method_name,),
         (clip,),
         (key.target_spp,),
         (key.seed,),

@@ -23,6 +23,7 @@ from rlbench.benchmark.regression.comparison import (
 )
 from rlbench.benchmark.regression.crops import Crops
 from rlbench.system import paths
+from rlbench.system.store import write_text
 
 JOB_SUMMARY = "GITHUB_STEP_SUMMARY"  # a file whose Markdown GitHub shows with a job
 SUITE = "rlbench.regress"
@@ -58,8 +59,7 @@ def markdown(report: RegressionReport, crops: Crops | str = "", images: str = ""
 def write_summary(report: RegressionReport, crops: Crops | str, file: Path) -> None:
     """Write the report as Markdown, with links to crops that lie in a folder beside the file."""
     images = os.path.relpath(crops.folder, file.parent) if isinstance(crops, Crops) else ""
-    with paths.atomic_write(file) as temporary:
-        temporary.write_text(markdown(report, crops, Path(images).as_posix()), encoding="utf-8")
+    write_text(file, markdown(report, crops, Path(images).as_posix()))
 
 
 def append_to_job_summary(report: RegressionReport, crops: Crops | str) -> None:

@@ -33,7 +33,7 @@ from rlbench.checks.stress.section import (
 )
 from rlbench.parallel.executor import LOCAL, Executor, ProgressCallback
 from rlbench.parallel.process_executor import ProcessExecutor
-from rlbench.system import code_hash, paths, provenance
+from rlbench.system import code_hash, paths, provenance, store
 
 _logger = logging.getLogger(__name__)
 
@@ -212,8 +212,9 @@ def write_results(
     """Store the results of a job, in place of older ones."""
     rows = [result_row(job, result) for result in results]
     document = {"schema": SCHEMA, "content_hash": content_hash, "results": rows}
-    with paths.atomic_write(paths.check_no_link(folder, _file(folder, job))) as unfinished:
-        unfinished.write_text(json.dumps(document, indent=1), "utf-8")
+    store.write_text(
+        paths.check_no_link(folder, _file(folder, job)), json.dumps(document, indent=1)
+    )
 
 
 def _from_row(row: dict[str, Any]) -> CheckResult:

@@ -21,11 +21,11 @@ from rlbench.benchmark.run_plan import RunPlan
 from rlbench.benchmark.runner import RunSummary, measure
 from rlbench.parallel.engines import open_executor
 from rlbench.parallel.executor import LOCAL, ExecutorError, Resources
-from rlbench.registry import METHODS_VARIABLE, list_plugins, use_plugin
+from rlbench.registry import list_plugins, use_plugin
 from tests.apps.render.jobs.test_render_clips import PRESET, contents
 from tests.apps.render.small_scenes import room
 from tests.benchmark.test_runner import scores
-from tests.conftest import write_noise, write_plugin
+from tests.conftest import install_plugin, write_noise, write_plugin
 
 MAX_RETRIES = 1
 
@@ -190,8 +190,7 @@ def test_scores_from_ray_and_from_this_process_are_bit_identical(workers, tmp_pa
     package = tmp_path / "elsewhere"
     package.mkdir()
     write_plugin(package / "faraway.py", "far", body="raise RuntimeError('no luck')")
-    monkeypatch.syspath_prepend(str(package))
-    monkeypatch.setenv(METHODS_VARIABLE, "far=faraway:FAMILY")
+    install_plugin(package, monkeypatch, "methods", "far = faraway:FAMILY")
     clips = tuple(StoredSource(write_noise(tmp_path / "clips" / name)) for name in ("a", "bb"))
     plan = RunPlan(
         ("mean", "ours", "loose", "far"),

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import textwrap
+from pathlib import Path
 
 import pytest
 import torch
@@ -22,14 +23,13 @@ from rlbench.frames import Size
 from rlbench.ops.nested_tensors import is_bit_equal, iterate_tensors
 from rlbench.run import run_clip
 from tests.checks.conformance.broken_fixtures import FAULTS, SIZE, SMALL_SIZE, Correct
-from tests.conftest import write_plugin
+from tests.conftest import install_plugin, write_plugin
 
 
 @pytest.fixture(autouse=True)
-def _faulty_family(monkeypatch: pytest.MonkeyPatch):
-    monkeypatch.setenv(
-        registry.METHODS_VARIABLE, "faulty=tests.checks.conformance.broken_fixtures:FAMILY"
-    )
+def _faulty_family(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    target = "tests.checks.conformance.broken_fixtures:FAMILY"
+    install_plugin(tmp_path / "installed", monkeypatch, "methods", f"faulty = {target}")
 
 
 def faulty(variant: str) -> MethodUnderTest:

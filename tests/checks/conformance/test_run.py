@@ -8,7 +8,7 @@ from typer.testing import CliRunner
 from rlbench import registry
 from rlbench.checks.conformance import CHECKS, MethodUnderTest
 from rlbench.cli.app import app
-from tests.conftest import write_plugin
+from tests.conftest import install_plugin, write_plugin
 
 
 def rlbench(*arguments: object, code: int) -> list[str]:
@@ -81,13 +81,9 @@ def test_a_method_that_cannot_run_on_this_machine_is_skipped(tmp_path, missing):
 
 
 def test_samples_of_the_closed_form_clip_stand_in_for_any_installed_pool(tmp_path, monkeypatch):
-    installed = tmp_path / "chains-1.dist-info"
-    installed.mkdir()
-    (installed / "METADATA").write_text("Metadata-Version: 2.1\nName: chains\nVersion: 1\n")
-    (installed / "entry_points.txt").write_text("[rlbench.pools]\nchains = chains:POOL\n")
     kind = 'from rlbench.pools import PoolKind\nPOOL = PoolKind("chains", "of reservoirs")\n'
     (tmp_path / "chains.py").write_text(kind)
-    monkeypatch.syspath_prepend(tmp_path)
+    install_plugin(tmp_path, monkeypatch, "pools", "chains = chains:POOL")
     plugin = write_plugin(tmp_path / "mine.py", "mine", traits="pool='chains'")
     lines = rlbench("check", "mine", "--plugin", plugin, code=0)
     assert "1 method checked; none failed" in lines

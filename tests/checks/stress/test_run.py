@@ -15,7 +15,7 @@ from rlbench.checks.stress import run
 from rlbench.checks.stress.jobs import FinishedJob, StressJob
 from rlbench.checks.stress.run import count_contained, print_summary, write_tables
 from rlbench.cli.app import app
-from tests.conftest import write_plugin
+from tests.conftest import install_plugin, write_plugin
 
 FAULT = Limits(good=256, fair=1000, unit="pixels")
 RESULTS = (
@@ -81,7 +81,7 @@ def test_sections_of_the_suite_run_without_methods_or_by_name_alone(tmp_path):
 
 def test_a_family_that_cannot_be_imported_is_a_failure_of_all(tmp_path, monkeypatch):
     monkeypatch.setattr("rlbench.checks.stress.run.plan_jobs", lambda *_: [])
-    monkeypatch.setenv("RLBENCH_METHODS", "torn=no_such_module:FAMILY")
+    install_plugin(tmp_path, monkeypatch, "methods", "torn = no_such_module:FAMILY")
     lines, _ = stress("--only", "budgets", "--out", tmp_path, code=1)
     assert any(line.startswith("failed: 'all' skips torn, which cannot be ") for line in lines)
 

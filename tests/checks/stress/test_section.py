@@ -8,6 +8,7 @@ import pytest
 
 from rlbench.checks.stress.section import list_sections, load_section, select_sections
 from rlbench.errors import OptionError, PluginError
+from tests.conftest import install_plugin
 
 MODULE = """
 from rlbench.checks.stress.section import SuiteSection
@@ -18,11 +19,7 @@ SECTION = SuiteSection(lambda is_quick: iter(()))
 def install(folder, monkeypatch, name, content=MODULE):
     """A package that registers the stress section `name`."""
     (folder / "extra_section.py").write_text(content)
-    info = folder / "extra-1.dist-info"
-    info.mkdir()
-    (info / "METADATA").write_text("Metadata-Version: 2.1\nName: extra\nVersion: 1\n")
-    (info / "entry_points.txt").write_text(f"[rlbench.stress]\n{name} = extra_section:SECTION\n")
-    monkeypatch.syspath_prepend(folder)
+    install_plugin(folder, monkeypatch, "stress", f"{name} = extra_section:SECTION")
     monkeypatch.delitem(sys.modules, "extra_section", raising=False)  # that of another test
 
 

@@ -15,6 +15,8 @@ from rlbench.cli.options import CLIPS, METHODS, complete_methods, number, option
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
+    import torch
+
     from rlbench.apps.dumps.denoising.files import NoisySequence
     from rlbench.method import Method
 
@@ -120,6 +122,7 @@ def denoise(
     ] = None,
     plugin: options.Plugins = None,
     weights: options.Weights = options.SHIPPED,
+    backend: options.Backend = "eager",
     device: options.Device = "auto",
 ) -> None:
     """Denoise an animation or one image that another renderer wrote.
@@ -138,12 +141,14 @@ def denoise(
       rlbench denoise color.####.exr --albedo albedo.####.exr --normal normal.####.exr -o denoised/
       rlbench denoise render/ --frames 120:240 -o denoised/
       rlbench denoise render/ --also DiffDir,DiffInd,GlossDir,GlossInd,Emit,Env -o denoised/
+      rlbench denoise render/ --backend openvino -o denoised/
       rlbench denoise render/ -m accumulate/tuned --layout engine.toml --spp 4 -o denoised/
     """
     load_plugins(plugin)
     from rlbench import registry
     from rlbench.apps.dumps.denoising.shot import denoise_sequence
     from rlbench.apps.dumps.importers.sequence import parse_frame_range
+    from rlbench.backends import EAGER, use_backend
     from rlbench.benchmark.planning import select_device
     from rlbench.cli import console
     from rlbench.system.paths import check_writable
@@ -165,6 +170,8 @@ def denoise(
     )
     label = f"{method} with {weights.file}" if weights.file else method
     loaded = registry.load_method(method, chosen, weights.file)
+    if (runs_by := _choose_backend(method, backend, chosen)) != EAGER:
+        loaded, label = use_backend(loaded, runs_by, chosen), f"{label} on {runs_by}"
     for note in (*_notes(method, shots[0]), *_check_memory(method, loaded, shots)):
         typer.echo(f"note: {note}")
     with console.counting("denoising", sum(map(len, shots))) as on_frame:
@@ -183,6 +190,16 @@ def denoise(
             typer.echo(f"  {note}")
         for image, pixels in sorted(summary.repairs.items()):
             typer.echo(f"  {image}: {pixels} invalid pixels were replaced")
+
+
+def _choose_backend(method: str, backend: str, device: torch.device) -> str:
+    """The backend that the row uses where this one is asked for."""
+    from rlbench import registry
+    from rlbench.backends import applicable_backend, select_backend
+
+    variant, chosen = registry.get_variant(method), select_backend(backend, device)
+    learned = variant.learned
+    return applicable_backend(chosen, variant.traits, learned=learned, skips_tiles=False)
 
 
 def _find(

@@ -59,7 +59,8 @@ def _write_guess(sources: list[Path], layout: Path) -> None:
         recognize_layout,
     )
     from rlbench.errors import OptionError
-    from rlbench.system.paths import atomic_write, check_writable
+    from rlbench.system.paths import check_writable
+    from rlbench.system.store import write_text
 
     if len(sources) != 1 or not sources[0].is_dir():
         raise OptionError("--guess takes one folder of EXR files")
@@ -77,7 +78,6 @@ def _write_guess(sources: list[Path], layout: Path) -> None:
         typer.echo(text)
         unclaimed = format_unclaimed(sources[0], decode_layout(guess.tables, "guess"))
     typer.echo(unclaimed)
-    with atomic_write(layout) as file:
-        file.write_text(text + unclaimed)
+    write_text(layout, text + unclaimed)
     typer.echo(f"written to {layout}. Next:")
     typer.echo(f"  rlbench import {sources[0]} --layout {layout} --out clips/")

@@ -16,7 +16,7 @@ from pathlib import Path
 
 from rlbench.denoise import DenoiseError
 from rlbench.system.documents import decode, read_json
-from rlbench.system.paths import atomic_write
+from rlbench.system.store import write_text
 
 __all__ = ["Files", "Record", "Settings", "WrittenFrame", "claim_frames", "read_record"]
 
@@ -83,8 +83,7 @@ class Record:
 
     def write(self, file: Path) -> None:
         """Write the record."""
-        with atomic_write(file) as path:
-            path.write_text(json.dumps(dataclasses.asdict(self), indent=1) + "\n")
+        write_text(file, json.dumps(dataclasses.asdict(self), indent=1) + "\n")
 
 
 def read_record(file: Path) -> tuple[Record | None, str]:

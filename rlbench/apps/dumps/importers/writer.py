@@ -24,7 +24,7 @@ from rlbench.clips.frame_files import (
 from rlbench.clips.header import FILE, Header, read_header, write_header
 from rlbench.clips.image_files import Pixels
 from rlbench.errors import SourceError
-from rlbench.system import paths
+from rlbench.system import paths, store
 
 MAX_EXPOSURE_FRAMES = 8  # whose references decide the exposure
 SOURCE_FILE = "source.txt"  # in the clip folder: what its frames were imported from
@@ -136,7 +136,8 @@ def is_finished(sequence: ImportedSequence, header: Header, folder: Path) -> boo
     """Whether the folder holds clip.toml and every frame, imported from this sequence."""
     complete = all(has_frame(folder, index, header.pools) for index in range(header.frames))
     key = _content_key(sequence, header)
-    return complete and (folder / FILE).is_file() and _stored_key(folder) == key
+    stored_key = store.read_text(folder / SOURCE_FILE)
+    return complete and (folder / FILE).is_file() and stored_key == key
 
 
 def _read_valid(
@@ -163,22 +164,20 @@ def _check_exposed(header: Header, number: int, frame: ImportedFrame) -> None:
 
 def _claim(sequence: ImportedSequence, header: Header, folder: Path) -> None:
     """Mark the folder as an import of this sequence. Raises SourceError if it is another's."""
-    key, stored_key = _content_key(sequence, header), _stored_key(folder)
+    key, stored_key = _content_key(sequence, header), store.read_text(folder / SOURCE_FILE)
     if folder.is_symlink():
         raise SourceError(
             f"{folder} is a link, to {folder.resolve()}, and no clip is written through one; "
             "remove it, or import into another --out"
         )
     paths.remove_temporaries(folder)
-    if stored_key == key:
-        return
-    if stored_key or any(folder.glob("*.exr")) or (folder / FILE).exists():
+    is_used = stored_key or any(folder.glob("*.exr")) or (folder / FILE).exists()
+    if is_used and stored_key != key:
         raise SourceError(
             f"{folder} holds a clip from elsewhere, or from these files before they changed; "
             "move it away, or import into another --out"
         )
-    with paths.atomic_write(folder / SOURCE_FILE) as path:
-        path.write_text(key)
+    store.claim(folder / SOURCE_FILE, key)
 
 
 def _content_key(sequence: ImportedSequence, header: Header) -> str:
@@ -187,12 +186,6 @@ def _content_key(sequence: ImportedSequence, header: Header) -> str:
     content = (stamps, sequence.numbers, header.pool_spp, header.buffers, file_kinds(header.pools))
     text = repr(content) + sequence.convention
     return f"{sequence.sampler}\n{sha256(text.encode()).hexdigest()}\n"
-
-
-def _stored_key(folder: Path) -> str:
-    """The content key in the folder, empty where there is none."""
-    path = folder / SOURCE_FILE
-    return path.read_text() if path.is_file() else ""
 
 
 def _images(count: int) -> str:

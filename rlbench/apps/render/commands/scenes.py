@@ -154,14 +154,13 @@ def _pin(word: str, out: Path | None) -> None:
     """Write the pin of a scene to a file."""
     from rlbench.apps.render.scenes.collection import catalog
     from rlbench.apps.render.scenes.collection.pins import parse_place, pin
-    from rlbench.system.paths import atomic_write
+    from rlbench.system.store import write_text
 
     place = parse_place(word if "@" in word else catalog.place_of(catalog.find_scene(word)))
     name = place[2].rpartition("/")[2] if "@" in word else word
     file = out or catalog.own_pin_file(name)
     text = pin(*place)
-    with atomic_write(file) as temporary:
-        temporary.write_text(text, encoding="utf-8")
+    write_text(file, text)
     typer.echo(f"{file}: {text.count(chr(10)) - 1} files")
     if out is None:
         typer.echo(f"to download them: rlbench scenes get {name}")

@@ -40,7 +40,7 @@ from rlbench.apps.render.user.sky import add_sky, radiance_of
 from rlbench.clips.exposure import area_luminance, exposure_from_areas
 from rlbench.clips.header import write_header
 from rlbench.clips.presets import Preset
-from rlbench.system import paths
+from rlbench.system import paths, store
 from rlbench.system.progress import LoggedProgress
 
 PREVIEW_SIZE = (32, 32)  # pixels of the images for the exposure: 8 x 8 areas of 4 x 4
@@ -174,7 +174,6 @@ def _claim_work_folder(cycles_job: CyclesJob) -> None:
     """Empty the work folder unless it belongs to this very clip."""
     key_file = cycles_job.work_folder / "mark.txt"
     key = cycles_job.job.content_key
-    if not (key_file.is_file() and key_file.read_text() == key):
+    if store.read_text(key_file) != key:
         shutil.rmtree(cycles_job.work_folder, ignore_errors=True)
-        with paths.atomic_write(key_file) as path:
-            path.write_text(key)
+        store.write_text(key_file, key)

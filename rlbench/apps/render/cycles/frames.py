@@ -30,7 +30,7 @@ from rlbench.apps.render.jobs.job import Job
 from rlbench.apps.render.scene import Pose, Scene
 from rlbench.clips.exr import read_exr
 from rlbench.clips.frame_files import write_frame
-from rlbench.system import paths
+from rlbench.system import store
 
 SAMPLES_PER_IMAGE = 32  # of a reference: an interruption loses at most so many
 WORK_FOLDER = ".cycles"  # beside the frames, until all are complete
@@ -136,15 +136,13 @@ def reference_images(
 
 def fastest_sample_s(folder: Path) -> float:
     """The least seconds per frame at one sample per pixel so far; inf if none was measured."""
-    file = folder / "seconds.txt"
-    return float(file.read_text()) if file.is_file() else float("inf")
+    return float(store.read_text(folder / "seconds.txt") or "inf")
 
 
 def _record_seconds(folder: Path, seconds: float) -> None:
     """Keep the least time of a sample."""
     least = min(seconds, fastest_sample_s(folder))
-    with paths.atomic_write(folder / "seconds.txt") as path:
-        path.write_text(repr(least))
+    store.write_text(folder / "seconds.txt", repr(least))
 
 
 def _radiance_images(cycles_job: CyclesJob, index: int, rounds: int) -> list[ImageTask]:

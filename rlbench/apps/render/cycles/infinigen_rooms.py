@@ -33,7 +33,7 @@ from rlbench.apps.render.user import camera_path
 from rlbench.apps.render.user.clip import UserSceneOptions
 from rlbench.clips.presets import Preset
 from rlbench.errors import OptionError, RlbenchError
-from rlbench.system import paths
+from rlbench.system import store
 from rlbench.system.folder_lock import locked_folder
 
 INFINIGEN = "infinigen==1.15.5"  # of PyPI: wheels for Python 3.11
@@ -109,7 +109,7 @@ def ensure_environment(folder: Path, package: str, requirements: Sequence[str] =
     """
     python = folder / "bin" / "python"
     finished = folder / "installed.txt"
-    if finished.is_file() and finished.read_text() == package:
+    if store.read_text(finished) == package:
         return python
     base = sys.executable if sys.version_info[:2] == (3, 11) else shutil.which("python3.11")
     if not base:
@@ -280,8 +280,7 @@ def place_cameras(file: Path, folder: Path, count: int, frames: int, seed: int =
     walks = [walk(WALKS_PER_SEED * seed + number, frames) for number in range(count)]
     for path, placed in zip(files, _place(file, walks, seed, folder / "cameras.log"), strict=True):
         matrices = [convert_axes(np.array(rows)).tolist() for rows in placed]
-        with paths.atomic_write(path) as temporary:
-            temporary.write_text(json.dumps({"camera_to_world": matrices, "fov": FOV}))
+        store.write_text(path, json.dumps({"camera_to_world": matrices, "fov": FOV}))
     return files
 
 

@@ -27,7 +27,7 @@ from rlbench.apps.render.scene import Camera, Scene, SceneError
 from rlbench.apps.render.user import camera_path
 from rlbench.apps.render.user.clip import UserSceneOptions
 from rlbench.apps.render.user.scene_file import UserScene
-from rlbench.system import paths
+from rlbench.system import paths, store
 
 FORMATS = (".blend", ".usd", ".usda", ".usdc", ".usdz", ".glb", ".gltf", ".fbx", ".obj")
 MAX_LENS_SHIFT = 1e-4  # fraction of the image width
@@ -97,8 +97,7 @@ def _describe(
     description["files"] = sorted({*description["files"], *gltf_parts(options.file)})
     description["digest"] = hash_files(options.file, description["files"])
     if not description["missing"]:
-        with paths.atomic_write(cached) as path:
-            path.write_text(json.dumps(description))
+        store.write_text(cached, json.dumps(description))
     return description
 
 

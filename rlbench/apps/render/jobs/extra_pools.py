@@ -31,7 +31,7 @@ from rlbench.apps.render.scene import Scene
 from rlbench.clips.frame_files import exr_path, write_pool
 from rlbench.clips.header import FILE, Header, read_header, write_header
 from rlbench.pools import PoolKind, SampleStreams
-from rlbench.system import paths
+from rlbench.system import store
 from rlbench.system.provenance import machine
 
 TIMED_SPP = 4  # samples per pixel and frame in a time measurement
@@ -57,7 +57,7 @@ class MissingPool:
     @property
     def missing_frames(self) -> list[int]:
         """Frames without a file of this pool, scene and version."""
-        is_ours = self._key_file.is_file() and self._key_file.read_text() == self.content_key
+        is_ours = store.read_text(self._key_file) == self.content_key
         frames = range(read_header(self.folder).frames)
         return [i for i in frames if not (is_ours and self._file(i).is_file())]
 
@@ -73,12 +73,8 @@ class MissingPool:
         header = read_header(self.folder)
         if self.kind.name in header.pools:
             write_header(self.folder, _without_pool(header, self.kind.name))
-        if self._key_file.is_file() and self._key_file.read_text() == self.content_key:
-            return
-        for index in range(self.job.preset.frames):
-            self._file(index).unlink(missing_ok=True)
-        with paths.atomic_write(self._key_file) as path:
-            path.write_text(self.content_key)
+        files = map(self._file, range(self.job.preset.frames))
+        store.claim(self._key_file, self.content_key, older=files)
 
     def _file(self, index: int) -> Path:
         return exr_path(self.folder, f"pool.{self.kind.name}", index)

@@ -30,7 +30,7 @@ from rlbench.clips.header import FILE, ClipError, Header, names_in_digests, read
 from rlbench.clips.presets import Preset
 from rlbench.frames import BUFFERS
 from rlbench.parallel.executor import ProgressCallback, Resources
-from rlbench.system import load, paths
+from rlbench.system import load, paths, store
 from rlbench.system.provenance import machine
 
 FRAME_POOLS = ("path",)  # pools that are traced with each frame; others are added to finished clips
@@ -163,23 +163,17 @@ class Job:
         paths.remove_temporaries(self.folder)
         files = [self.folder / FILE, *self.folder.glob("*.exr"), *self.folder.glob(SPP_FILES)]
         existing = [file for file in files if file.is_file()]
-        if read_content_key(self.folder) == self.content_key:
-            return
         if existing and not read_content_key(self.folder):
             raise ClipError(
                 f"{self.folder} holds frames that `rlbench render` did not write; "
                 "move that folder, or render into another one"
             )
-        for file in existing:
-            file.unlink()
-        with paths.atomic_write(self.folder / CONTENT_KEY_FILE) as path:
-            path.write_text(self.content_key)
+        store.claim(self.folder / CONTENT_KEY_FILE, self.content_key, older=existing)
 
 
 def read_content_key(folder: Path) -> str:
     """The content key of the frames in a folder; empty if `rlbench render` did not write them."""
-    file = folder / CONTENT_KEY_FILE
-    return file.read_text() if file.is_file() else ""
+    return store.read_text(folder / CONTENT_KEY_FILE)
 
 
 def read_whole_length(folder: Path) -> int | None:

@@ -16,7 +16,7 @@ from rlbench.clips.exr import read_exr
 from rlbench.clips.frame_files import CHANNELS, exr_path
 from rlbench.clips.presets import Preset
 from rlbench.ops.color import encode_srgb
-from rlbench.system import paths
+from rlbench.system import store
 
 HALVES = ("A", "B")
 SPP_FILES = "rounds.*.txt"  # beside the frames, if the number of rounds varies
@@ -80,8 +80,7 @@ def stored_noise_ceiling_db(
 
 def write_spp(folder: Path, index: int, spp: int) -> None:
     """Store the samples per pixel of a frame's reference until the clip has a header."""
-    with paths.atomic_write(_spp_file(folder, index)) as path:
-        path.write_text(f"{spp}\n")
+    store.write_text(_spp_file(folder, index), f"{spp}\n")
 
 
 def read_spp(folder: Path, index: int) -> int | None:

@@ -10,7 +10,6 @@ import ctypes
 import glob
 import hashlib
 import importlib.metadata
-import json
 import os
 import platform
 import re
@@ -20,7 +19,7 @@ import warnings
 from dataclasses import dataclass
 from pathlib import Path
 
-from rlbench.system import paths
+from rlbench.system import paths, store
 
 MIN_VERSION = 16  # Dr.Jit refuses 14; 15 aborts the process
 PATTERNS = (
@@ -185,13 +184,7 @@ def cuda_fault() -> str | None:
         return None
     changed = driver.stat().st_mtime_ns if driver.exists() else 0
     key = f"{driver} {changed} mitsuba {importlib.metadata.version('mitsuba')}"
-    cache = paths.cache_folder() / "cuda.json"
-    results: dict[str, str] = json.loads(cache.read_text()) if cache.exists() else {}
-    if key not in results:
-        results[key] = _run_probe(CUDA_PROBE)
-        with paths.atomic_write(cache) as file:
-            file.write_text(json.dumps(results, indent=1))
-    return results[key]
+    return store.recall(paths.cache_folder() / "cuda.json", key, lambda: _run_probe(CUDA_PROBE))
 
 
 def _run_probe(code: str) -> str:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -96,7 +97,7 @@ def video(
     """
     from rlbench.apps.view.video import VideoStyle, check_formats, write
     from rlbench.benchmark.cell_images import find_all_images
-    from rlbench.benchmark.shown_clips import display_clips, find_shown_clips
+    from rlbench.benchmark.shown_clips import at_budget, find_shown_clips
     from rlbench.cli import console
     from rlbench.system.paths import check_writable
 
@@ -118,13 +119,13 @@ def video(
     shown_clips = find_shown_clips(results, find_sources(kept, clips), names, budgets, buffers=())
     lengths = [max(map(len, images)) for _, images in shown_clips.kept]
     per_clip = [style.pictures_written(length, suffixes) for length in lengths]
+    files = []
     with console.counting("pictures", len(budgets) * sum(per_clip)) as on_picture:
-        files = [
-            file
-            for clip in shown_clips
-            for each in display_clips(clip, names, budgets, rows, reference)
-            for file in write(each, target, suffixes, style, on_picture)
-        ]
+        for clip in shown_clips:
+            clip = clip if reference else replace(clip, reference=clip.reference[:0])
+            for budget in budgets:
+                chosen = at_budget(clip, names, budget, rows)
+                files += write(chosen, target, suffixes, style, on_picture)
     for file in files:
         typer.echo(file)
 

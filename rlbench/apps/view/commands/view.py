@@ -136,7 +136,7 @@ def describe_traits(row_name: str) -> dict[str, Any]:
     from rlbench import registry
     from rlbench.benchmark.results import RowName
 
-    method = RowName.parse(row_name).method
+    method = RowName.parse(row_name).method_name
     try:
         family, variant = registry.find_method(method)
     except registry.PluginError:

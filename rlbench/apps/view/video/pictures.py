@@ -11,13 +11,16 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import matplotlib as mpl
 import numpy as np
+from jaxtyping import Float
+from numpy import ndarray as Array
 from numpy.typing import NDArray
 from PIL import Image, ImageDraw, ImageFont
 
 from rlbench.apps.view.video.style import VideoStyle
+from rlbench.benchmark.frame_images import LinearImage
 
 if TYPE_CHECKING:
-    from rlbench.benchmark.shown_clips import DisplayClip
+    from rlbench.benchmark.shown_clips import ShownClip
 
 BACKGROUND = (24, 24, 24)
 COUNT_COLOURS = "viridis"  # as in the page of rlbench view
@@ -43,9 +46,12 @@ class Panel(NamedTuple):
     line: int | None  # of `frames`, whose slice through time is shown
 
 
-def panels_of(clip: DisplayClip, style: VideoStyle) -> list[Panel]:
-    """The panels in their order: each row, the samples of an adaptive row, the reference."""
-    _, height, width, _ = clip.rows[0].frames.shape
+def panels_of(clip: ShownClip, style: VideoStyle) -> list[Panel]:
+    """The panels in their order: each row, the samples of an adaptive row, the reference.
+
+    `clip` is that of `at_budget`; its reference may be empty, and is not shown then.
+    """
+    height, width = clip.images[0].frames.shape[2:]
     x, y, w, h = style.crop or (0, 0, width, height)
     line = None if style.line is None else style.line - y
     return [
@@ -68,21 +74,27 @@ def draw_panel(panel: Panel, frame: int, zoom: int) -> Rgb8:
     return np.concatenate([picture, gap, through_time])
 
 
-def _contents(clip: DisplayClip, style: VideoStyle) -> Iterator[tuple[str, Sequence[str], Rgb8]]:
+def _contents(clip: ShownClip, style: VideoStyle) -> Iterator[tuple[str, Sequence[str], Rgb8]]:
     """Title, remarks and frames of each panel."""
-    spp = f"{clip.target_spp:g} spp"
-    most = max(float(row.counts.max()) for row in clip.rows)
-    for row, title in zip(clip.rows, style.titles or [row.name for row in clip.rows], strict=True):
+    most = max(float(row.counts.max()) for row in clip.images)
+    titles = style.titles or [row.method for row in clip.images]
+    for row, title in zip(clip.images, titles, strict=True):
         scores = ["" if math.isnan(psnr) else f"  {psnr:.1f} dB" for psnr in row.psnr]
-        yield title, [spp + score for score in scores], row.frames
+        yield title, [f"{row.target_spp:g} spp{score}" for score in scores], _to_display(row.frames)
         least, largest = row.counts.min(), row.counts.max()
         if style.samples and least < largest - 1:  # counts that differ by more than rounding
             extent = f"{least:g} to {largest:g} a pixel"
             share = (row.counts / most).astype(np.float32)
             colours = mpl.colormaps[COUNT_COLOURS](share, bytes=True)[..., :3]
             yield f"samples of {title}", [extent] * len(colours), colours
-    if clip.reference is not None:
-        yield "reference", [""] * len(clip.reference), clip.reference
+    if len(clip.reference):
+        yield "reference", [""] * len(clip.reference), _to_display(clip.reference)
+
+
+def _to_display(frames: Float[Array, "t 3 h w"]) -> Rgb8:
+    """Clipped sRGB in 8 bits [t h w 3]; pixels that are not finite are magenta."""
+    linear = np.moveaxis(frames.astype(np.float32), 1, -1)
+    return np.stack([LinearImage(frame).rgb8 for frame in linear])
 
 
 def _magnify(picture: Rgb8, rows: int, columns: int) -> Rgb8:

@@ -10,12 +10,12 @@ from typing import TYPE_CHECKING
 import numpy as np
 from PIL import Image
 
-from reports.layout.files import finished_file
 from rlbench.apps.view.video.pictures import Panel, Rgb8, panels_of, pictures
 from rlbench.apps.view.video.style import VideoStyle, check_formats
+from rlbench.system.paths import atomic_write
 
 if TYPE_CHECKING:
-    from rlbench.benchmark.shown_clips import DisplayClip
+    from rlbench.benchmark.shown_clips import ShownClip
 
 CRF = 18  # constant rate factor of x264: differences are hard to see
 
@@ -26,7 +26,7 @@ MAX_KEY_DISTANCE = 1000  # pictures; a WebP plays from its start
 
 
 def write(
-    clip: DisplayClip,
+    clip: ShownClip,
     folder: Path,
     formats: Sequence[str],
     style: VideoStyle,
@@ -34,14 +34,17 @@ def write(
 ) -> list[Path]:
     """Write FOLDER/CLIP-SPPspp-ROWS.mp4 and .webp, or those of `formats`, and return them.
 
-    `on_picture` is called for each picture. Raises VideoError if the clip cannot be shown so.
+    `clip` is that of `at_budget`; `on_picture` is called for each picture. Raises VideoError if the
+    clip cannot be shown so.
     """
     check_formats(formats)
-    frames, height, width, _ = clip.rows[0].frames.shape
-    style.check(len(clip.rows), clip.reference is not None, height, width)
+    frames, _, height, width = clip.images[0].frames.shape
+    has_reference = len(clip.reference) > 0
+    style.check(len(clip.images), has_reference, height, width)
     panels, fps = panels_of(clip, style), style.fps * style.steps
-    names = [row.name for row in clip.rows] + ["reference"] * (clip.reference is not None)
-    words = [clip.name, f"{clip.target_spp:g}spp", *names, *["wipe"] * (style.layout == "wipe")]
+    names = [row.method for row in clip.images] + ["reference"] * has_reference
+    spp = f"{clip.images[0].target_spp:g}spp"
+    words = [clip.name, spp, *names, *["wipe"] * (style.layout == "wipe")]
     files = []
     for suffix in formats:
         files.append(folder / f"{'-'.join(words).replace('/', '-')}.{suffix}")
@@ -68,7 +71,7 @@ def write_mp4(pictures: Iterator[Rgb8], file: Path, fps: float) -> None:
     first = next(pictures)
     matrix = "scale=out_color_matrix=bt709:out_range=tv"
     options = ["-vf", f"{matrix},setparams={COLOURS}", "-crf", str(CRF), "-preset", "slow"]
-    with finished_file(file) as temporary:
+    with atomic_write(file) as temporary:
         writer = imageio_ffmpeg.write_frames(
             str(temporary),
             first.shape[1::-1],
@@ -88,7 +91,7 @@ def write_mp4(pictures: Iterator[Rgb8], file: Path, fps: float) -> None:
 def write_webp(pictures: Iterator[Rgb8], file: Path, fps: float, quality: int) -> None:
     """Write an animation that repeats for ever; equal pictures give equal bytes."""
     first, *others = map(Image.fromarray, pictures)
-    with finished_file(file) as temporary:
+    with atomic_write(file) as temporary:
         first.save(
             temporary,
             save_all=True,

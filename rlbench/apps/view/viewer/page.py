@@ -18,7 +18,6 @@ import pandas as pd
 
 from reports.analysis.differences import TIE_DB, VERDICT_NOTE
 from reports.analysis.rows import check_comparable, methods_from_elsewhere, split_by_device
-from reports.layout.files import finished_file
 from reports.layout.page import describe_clips
 from reports.layout.style import line_styles
 from rlbench.apps.view.viewer.data import (
@@ -31,6 +30,7 @@ from rlbench.apps.view.viewer.data import (
 from rlbench.apps.view.viewer.opening import Opening, choose_opening
 from rlbench.apps.view.viewer.pictures import MAX_METHODS, pack_clips
 from rlbench.benchmark.results import WIDE
+from rlbench.system.store import write_text
 
 if TYPE_CHECKING:
     from rlbench.benchmark.shown_clips import ShownClip
@@ -115,8 +115,7 @@ def _write_page(
 ) -> None:
     frame = _render(data, [], math.nan)
     texts, error = pack_clips(clips, max_bytes - len(frame.encode()) - FEW_BYTES)
-    with finished_file(file) as temporary:
-        temporary.write_text(_render(data, texts, error), encoding="utf-8")
+    write_text(file, _render(data, texts, error))
 
 
 def _select_methods(

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import shutil
 
+import numpy as np
+import OpenEXR
 import pytest
 
 from rlbench.denoise import DEFAULT_METHOD
@@ -17,6 +19,12 @@ def render(tmp_path_factory):
     folder = tmp_path_factory.mktemp("dump")
     write_blender(correct_clip(frames=2, half=16), folder)
     return shutil.copytree(folder / "sample0", folder / "render")
+
+
+def all_pixels(files):
+    for path in files:
+        with OpenEXR.File(str(path)) as file:
+            yield from (each.pixels for _, each in sorted(file.channels().items()))
 
 
 def test_a_shot_is_denoised_once(render, tmp_path):
@@ -40,6 +48,16 @@ def test_one_image_by_a_row_without_memory(render, tmp_path):
     output = rlbench("denoise", image, "-m", "oidn", "--spp", 1, "-o", tmp_path)
     assert "1 frame denoised by oidn" in output
     assert "note" not in output
+
+
+def test_openvino_denoises_as_pytorch_does_and_frames_say_who_did(render, tmp_path):
+    words = ("denoise", render, "-m", "oidn", "--spp", 1)
+    rlbench(*words, "-o", tmp_path / "eager")
+    output = rlbench(*words, "-o", tmp_path / "compiled", "--backend", "openvino")
+    assert "2 frames denoised by oidn on openvino" in output
+    files = [sorted((tmp_path / name).glob("*.exr")) for name in ("eager", "compiled")]
+    for expected, found in zip(*map(all_pixels, files), strict=True):
+        np.testing.assert_allclose(found, expected, rtol=2e-3, atol=1e-4)  # halves in the files
 
 
 @pytest.mark.parametrize(

@@ -12,7 +12,7 @@ import rlbench
 from rlbench.benchmark.cell_images import list_images
 from rlbench.benchmark.clip_sources import open_source
 from rlbench.benchmark.results import read
-from rlbench.benchmark.shown_clips import DisplayClip, display_clips, find_shown_clips
+from rlbench.benchmark.shown_clips import ShownClip, at_budget, find_shown_clips
 from tests.procedural_folder import write_world
 
 SIDE, FRAMES = 32, 4
@@ -32,14 +32,13 @@ def run_folder(tmp_path_factory) -> Path:
 
 
 @pytest.fixture(scope="session")
-def clip(run_folder) -> DisplayClip:
+def clip(run_folder) -> ShownClip:
     """The run with its reference."""
     with pytest.MonkeyPatch.context() as patch:
         patch.setenv("RLBENCH_CACHE", str(run_folder / "cache"))
         source = open_source(run_folder / "alpha", "stored")
         (shown,) = find_shown_clips(run_folder / "results", [source], METHODS, [1.0], buffers=())
-    (clip,) = display_clips(shown, METHODS, [1.0], read(run_folder / "results"), True)
-    return clip
+    return at_budget(shown, METHODS, 1.0, read(run_folder / "results"))
 
 
 @pytest.fixture(scope="session")

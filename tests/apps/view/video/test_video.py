@@ -74,7 +74,7 @@ def test_lengths_of_loops_passes_and_files():
 def uneven(clip):
     """The clip, whose second row took 0, 1, 2, ... samples in its columns."""
     counts = np.broadcast_to(np.arange(SIDE, dtype=np.float16), (FRAMES, SIDE, SIDE))
-    return replace(clip, rows=(clip.rows[0], replace(clip.rows[1], counts=counts)))
+    return replace(clip, images=(clip.images[0], replace(clip.images[1], counts=counts)))
 
 
 def test_panels_are_rows_samples_of_adaptive_ones_and_reference(uneven):
@@ -96,9 +96,9 @@ def test_an_image_is_the_kept_image_to_the_last_bit(clip, expected):
 
 def test_a_label_names_budget_and_psnr_of_the_frame_where_it_is_known(clip):
     (panel, *_) = panels_of(clip, VideoStyle())
-    assert panel.remarks == [f"1 spp  {value:.1f} dB" for value in clip.rows[0].psnr]
-    row = replace(clip.rows[0], psnr=(float("nan"),) * FRAMES)
-    (panel, *_) = panels_of(replace(clip, rows=(row,)), VideoStyle())
+    assert panel.remarks == [f"1 spp  {value:.1f} dB" for value in clip.images[0].psnr]
+    row = replace(clip.images[0], psnr=(float("nan"),) * FRAMES)
+    (panel, *_) = panels_of(replace(clip, images=(row,)), VideoStyle())
     assert panel.remarks == ["1 spp"] * FRAMES
 
 
@@ -119,8 +119,9 @@ def test_a_slice_shows_one_line_in_the_order_of_time(clip):
     through_time = picture[16 * zoom + SLICE_GAP :]
     step = len(through_time) // FRAMES
     inside = slice(4, -4)  # without the marks
+    frames = panels_of(clip, VideoStyle())[0].frames
     for frame in range(FRAMES):
-        line = clip.rows[0].frames[frame, y].repeat(zoom, axis=0)
+        line = frames[frame, y].repeat(zoom, axis=0)
         assert np.array_equal(through_time[frame * step, inside], line[inside])
     assert (through_time[2 * step : 3 * step, :2] == MARK).all()
     assert (picture[(y - 4) * zoom, :2] == MARK).all()
@@ -259,7 +260,10 @@ def test_labels_are_above_the_images_and_leave_them_as_they_are(clip, tmp_path):
 
 @each_format
 def test_rows_are_on_their_sides_of_the_divider(clip, expected, tmp_path, suffix):
-    pair, style = replace(clip, reference=None), replace(PLAIN, layout="wipe", repeat=1)
+    pair, style = (
+        replace(clip, reference=clip.reference[:0]),
+        replace(PLAIN, layout="wipe", repeat=1),
+    )
     decoded = decode(pair, tmp_path, suffix, style)
     count = style.pictures(FRAMES)
     assert len(decoded) == count

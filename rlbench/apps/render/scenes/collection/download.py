@@ -30,6 +30,7 @@ from rlbench.apps.render.scenes.collection.pins import PinnedFile, blob_id
 from rlbench.system import paths
 from rlbench.system.folder_lock import locked_folder
 from rlbench.system.paths import atomic_write, check_writable
+from rlbench.system.store import write_text
 
 RAW, RAW_VARIABLE = "https://raw.githubusercontent.com", "RLBENCH_SCENES_URL"
 THREADS, TRIES, PAUSE_S, TIMEOUT_S = 4, 3, 1.0, 20.0
@@ -117,8 +118,7 @@ def get(
             _fetch_all(entry, server, target, origins, on_progress or (lambda file: None))
     finally:
         if origins:  # the credit belongs to an incomplete scene too
-            with atomic_write(target / CREDITS) as temporary:
-                temporary.write_text(credit(entry), encoding="utf-8")
+            write_text(target / CREDITS, credit(entry))
         for path in sorted(target.rglob("*/"), reverse=True) + [target]:
             with suppress(OSError):
                 path.rmdir()  # where nothing came

@@ -1,0 +1,67 @@
+"""CUDA graphs, modelled on a processor: recorded operations run again on the same memory."""
+
+from __future__ import annotations
+
+from typing import Any
+from unittest.mock import patch
+
+import torch
+from torch import Tensor
+from torch.utils import _pytree as pytree
+from torch.utils._python_dispatch import TorchDispatchMode
+
+
+class Unasked(Tensor):
+    """A tensor with values that nobody may ask for; results of its operations are such, too."""
+
+
+def unasked(value: Any) -> Any:
+    return value.clone().as_subclass(Unasked) if isinstance(value, Tensor) else value
+
+
+class Tape(TorchDispatchMode):
+    """Operations in order; each writes where it wrote at first, as in a CUDA graph."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.operations: list[tuple[Any, ...]] = []
+        self.replays = 0
+
+    def __torch_dispatch__(self, func, types, args=(), kwargs=None):
+        assert torch.Tag.data_dependent_output not in func.tags, f"{func} asks for values"
+        result = func(*args, **(kwargs or {}))
+        self.operations.append((func, args, kwargs or {}, result))
+        return result
+
+    def replay(self) -> None:
+        self.replays += 1
+        with torch._C._AutoDispatchBelowAutograd():
+            for function, args, kwargs, result in self.operations:
+                again = function(*args, **kwargs)
+                for old, new in zip(*map(tensors_of, (result, again)), strict=True):
+                    if old.data_ptr() != new.data_ptr():  # no view and not in place
+                        old.copy_(new)
+
+
+def tensors_of(value: Any) -> list[Tensor]:
+    return [each for each in pytree.tree_leaves(value) if isinstance(each, Tensor)]
+
+
+class Tapes:
+    """A recorder on a processor."""
+
+    def __init__(self) -> None:
+        self.tapes: list[Tape] = []
+
+    def hold(self, value: Tensor) -> Tensor:
+        return value.detach().clone()
+
+    def record(self, function):
+        self.tapes.append(tape := Tape())
+        with tape, patch("rlbench.ops.asking.is_recording", return_value=True):
+            returned = function()
+        return tape.replay, returned
+
+
+def plain(value: Tensor) -> Tensor:
+    return value.as_subclass(Tensor)

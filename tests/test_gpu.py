@@ -1,0 +1,82 @@
+"""What only a GPU can show: graphs of whole stages and of training steps, against plain runs."""
+
+from __future__ import annotations
+
+import pytest
+import torch
+
+from rlbench import registry
+from rlbench.backends import use_backend
+from rlbench.clips.in_memory import InMemoryClip
+from rlbench.clips.procedural.clip import procedural_clip
+from rlbench.frames import Clip, GBuffer, Reference, Size, StoredPool
+from rlbench.ops.recording import CudaGraphs
+from rlbench.run import run_clip
+from rlbench.sampling import allocate_counts
+from rlbench.training import TrainingConfig
+from rlbench.training.train_state import TrainState
+
+pytestmark = pytest.mark.skipif(not torch.cuda.is_available(), reason="needs a GPU")
+GPU = torch.device("cuda")
+ROWS = [
+    name for name in registry.expand(["all"]) if not registry.get_variant(name).traits.eager_reason
+]
+TRAINED = ("oidn/retrained", "accumulate/tuned", "ours/A2", "nppd", "imcd", "ntas")
+
+
+def on_gpu(clip: Clip) -> InMemoryClip:
+    frames = []
+    for frame in clip:
+        assert isinstance(frame.pool, StoredPool)
+        buffers = {name: buffer.to(GPU) for name, buffer in frame.gbuffer.buffers.items()}
+        halves = frame.reference.half_a.to(GPU), frame.reference.half_b.to(GPU)
+        pool = StoredPool(frame.pool.radiance.to(GPU), frame.pool.rounding_seeds)
+        gbuffer = GBuffer(buffers, frame.gbuffer.static)
+        moved = {"gbuffer": gbuffer, "pool": pool, "reference": Reference(*halves)}
+        frames.append(type(frame)(frame.index, **moved))
+    return InMemoryClip(clip.name, clip.scene, clip.digest, frames)
+
+
+@pytest.mark.parametrize("name", ROWS)
+def test_recorded_frames_have_the_counts_and_images_of_plain_ones(name):
+    spp = registry.get_variant(name).traits.nearest_spp(1.0)
+    clip = on_gpu(procedural_clip(3, Size(1, 96, 160), frames=6, cut=4))
+    plain, recorded = (registry.load_method(name, GPU) for _ in range(2))
+    recorded = use_backend(recorded, "graph", GPU)
+    for _ in range(2):
+        pairs = zip(run_clip(plain, clip, spp), run_clip(recorded, clip, spp), strict=True)
+        for one, other in pairs:
+            assert torch.equal(one.samples.counts, other.samples.counts)
+            torch.testing.assert_close(other.image, one.image, rtol=1e-4, atol=1e-4)
+
+
+@pytest.mark.parametrize("spp", [0.1, 1.0, 4.0])
+def test_counts_are_those_of_a_processor(spp):
+    density = torch.rand(2, 1, 90, 122, generator=torch.Generator().manual_seed(0)) ** 8
+    low = torch.zeros(2, 1, 90, 122, dtype=torch.int64)
+    total = round(spp * 90 * 122)
+    for power in (1, 2):
+        expected = allocate_counts(density**power, total, low, 8, (0, 1))
+        found = allocate_counts((density**power).to(GPU), total, low.to(GPU), 8, (0, 1))
+        assert (found.cpu() != expected).float().mean() < 1e-3  # shares are summed in another order
+
+
+@pytest.mark.parametrize("name", TRAINED)
+def test_recorded_steps_train_as_plain_ones_do(name):
+    """Fifty sequences at two budgets; convolutions on a GPU sum in an order of their own."""
+    losses = []
+    for recorder in (None, CudaGraphs()):
+        task = registry.training_task(name, GPU)
+        state = TrainState(task, TrainingConfig(), "cuda", recorder)
+        losses.append(
+            [
+                state.train_sequence(
+                    on_gpu(procedural_clip(seed, Size(1, 64, 64), frames=6)),
+                    1.0 + seed % 2,
+                    1.0,
+                    seed / 50,
+                )
+                for seed in range(50)
+            ]
+        )
+    assert losses[1] == pytest.approx(losses[0], rel=0.05)
