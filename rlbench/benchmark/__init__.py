@@ -1,7 +1,8 @@
 """The benchmark: a run plan, its runner, scores, latency, cost and the results table.
 
-A run begins with a plan (`run_plan`), is measured and stored cell by cell (`runner`), and ends with
-a verdict (`run_outcome`). `scoring` turns images into rows, `timing` times, `results` keeps them.
+A run begins with options (`run_options`), which become a plan (`planning`, `run_plan`). It is
+measured and stored cell by cell (`runner`), and ends with a verdict (`run_outcome`). `scoring`
+turns images into rows, `timing` times, `results` keeps them.
 
 `measure` writes the rows of a plan into a results folder, `read_cells` returns them as a pandas
 DataFrame; cells that the folder holds already are not measured again::

@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 DEFAULT_SPP = (0.5, 1.0, 2.0, 4.0)
 
 Times = Literal["missing", "uncertain", "again", "none"]  # the times that a run measures
-AGAIN = ("uncertain", "again")  # those of cells that have scores, which are not measured then
+AGAIN = ("uncertain", "again")  # of cells that have scores; such a run measures no scores
 
 
 @dataclass(frozen=True)

@@ -224,7 +224,7 @@ def _store(
 
 
 def check_times(times: str, keep_images: bool) -> None:
-    """Raise OptionError for a word that says of no times when they are measured, or no images."""
+    """Raise OptionError for an unknown word, and for images of a run that measures times alone."""
     if times not in get_args(Times):
         raise OptionError(unknown_name(f"--times {times}: no such times", times, get_args(Times)))
     if times in AGAIN and keep_images:
