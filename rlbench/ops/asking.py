@@ -16,7 +16,7 @@ __all__ = ["is_recorded", "may_ask"]
 
 
 def is_recorded(values: Tensor) -> bool:
-    """Are operations on `values` recorded: by torch.compile, on fake tensors or in a CUDA graph?
+    """True if operations on `values` are recorded, as by torch.compile or in a CUDA graph.
 
     Every subclass of Tensor counts: a `FakeTensor` has no values, and others stand for tensors
     that something else computes.
