@@ -112,7 +112,7 @@ regressions: .venv/dev.stamp
 	$(call regress,takes)
 	$(call regress,mini)
 	$(call regress,unseen --scenes $(FEW_UNSEEN))
-	printf '# Rivals without training data\n\nOf `unseen`, 8 of 48 scenes. `make unseen` and `make real` score the same rows on all.\n' > docs/results/regression-rivals.md
+	printf '# Rivals without training data\n\nThe section on preset `unseen` shows 8 of its 48 scenes; `make unseen` and `make real` score the same rows on all scenes.\n' > docs/results/regression-rivals.md
 	for preset in takes mini unseen; do sed '1s/.*/\n#&/' docs/made/$$preset/last-frames.md; done >> docs/results/regression-rivals.md
 	rm -r docs/made
 

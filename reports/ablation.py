@@ -139,7 +139,7 @@ def _score_table(scores: Scores, records: pd.DataFrame, base: str) -> Table:
     header, rows = pivot(records, format_difference, order, "variant")
     caption = (
         f"PSNR in dB ({scores.convention}) of each variant minus that of {base}, paired by "
-        "scene, clip, frame, budget and seed; mean over scenes. Another training would differ too. "
+        "scene, clip, frame, budget and seed; mean over scenes. Other trainings would differ too. "
         f"{VERDICT_NOTE}"
     )
     printed = {row[0]: paper.find(row[0]) for row in rows}
@@ -220,7 +220,7 @@ def _lists(
             if row["unpaired"]
         ],
         "Not compared": [
-            f"{method} at {spp:g} spp: no score of it or of {base}"
+            f"{method} at {spp:g} spp: it or {base} has no score"
             for base, methods in groups.items()
             for method in methods
             for spp in sorted(set(scores.measured["target_spp"]))

@@ -77,7 +77,7 @@ def _section(scores: Scores) -> Section | None:
         _gap_table(
             "First frame",
             f"Each row minus {BASE} at equal samples, PSNR in dB of the first frame of each clip, "
-            "which no memory helps.",
+            "where a memory does not help.",
             parts[FIRST],
         ),
     ]
@@ -105,7 +105,7 @@ def _gap_table(title: str, caption: str, records: pd.DataFrame) -> Table:
     first = f"row: the part of {BASE} that it lacks"
     header, rows = pivot(records, format_difference, order, first)
     lines = tuple((f"{row[0]}: {PARTS[row[0]]}", *row[1:]) for row in rows)
-    caption += f" Below zero: the part of {BASE} that follows the colon gains."
+    caption += f" Below zero: the part of {BASE} after the colon gains."
     return Table(title, caption, header, lines, VERDICT_NOTE)
 
 

@@ -153,8 +153,9 @@ def _agreement_table(taus: pd.DataFrame) -> Table:
     order = list(dict.fromkeys(taus["method"]))
     header, rows = pivot(taus, _format_tau, order, "metric, other preset")
     note = (
-        "Kendall's tau-b between the means on these clips and on those of another preset: 1 is the "
-        "same order, -1 the reverse; in brackets, the rows that both have at that budget."
+        "Kendall's tau-b between the order of rows on these clips and on those of another preset: "
+        "1 is the same order, -1 the reverse. Brackets: the number of rows that both have at that "
+        "budget."
     )
     return Table("Agreement of the order with other presets", "", header, rows, note)
 

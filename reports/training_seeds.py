@@ -196,8 +196,8 @@ def _difference_table(scores: Scores, differences: pd.DataFrame) -> Table:
     caption = (
         f"Mean PSNR in dB ({scores.convention}) of a series of trainings minus that of the "
         f"trainings of {BASE}. Brackets: 95 % interval of Welch's t-test over trainings, bold if "
-        f"one leads; {HOLM_MARK}: not after Holm's correction for this table. The interval holds "
-        "for these clips; other clips would differ too."
+        f"one leads; {HOLM_MARK} marks a lead that Holm's correction takes away. The "
+        "interval holds for these clips; other clips would differ too."
     )
     title = f"Trainings minus those of {BASE} [dB]"
     return Table(title, caption, header, rows)

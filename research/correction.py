@@ -1,4 +1,4 @@
-"""How much of the learned density pays: the sampler's action, scaled between the rule and itself.
+"""How much of the learned density gains: the sampler's action, scaled from the rule to itself.
 
 Command: python -m research.correction CLIPS --spp 0.25,0.5,1,2,4
 

@@ -6,7 +6,7 @@ Commands:
     python -m research.edit_weights scale-sampler WEIGHTS OUT --factor 0.5
 
 The first is a part for `rlbench.training.average`: a share of the start keeps what Intel's weights
-know. `correction` measures which factor of the second pays. All other weights stay as they are.
+know. `correction` compares factors of the second. All other weights stay as they are.
 """
 
 from __future__ import annotations

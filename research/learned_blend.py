@@ -1,9 +1,9 @@
-"""Does a learned weight of the last image gain over 0.3 of similarity? It is trained alone.
+"""A learned weight of the last image, trained alone, against the rule of 0.3 times similarity.
 
 Command: python -m research.learned_blend --train CLIPS --score CLIPS
 
 The images before blending are those of `accumulate/tuned`, recorded once. A network then learns the
-weight of the last image from what tells right from wrong: the difference of both images, its
+weight of the last image from its evidence: the difference of both images, its
 distance from the new image's neighbourhood, similarity, samples and deviation of history and frame,
 and how many images the last one is worth. Gradients flow through eight frames. The loss is PSNR.
 """

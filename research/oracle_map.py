@@ -1,4 +1,4 @@
-"""Oracle density maps: how much could any map of samples gain on one frame?
+"""Oracle density maps: an estimate of the most that any map of samples gains on one frame.
 
 Command: python -m research.oracle_map --spp 1,2,4
 

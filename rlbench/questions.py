@@ -18,7 +18,7 @@ Judge = Callable[[list[float]], None]  # raises an error that the values cause, 
 
 @dataclass(frozen=True)
 class Questions:
-    """Checks of a frame's values: is the density valid, how many pixels were repaired?
+    """Checks of a frame's values, such as a valid density or the number of repaired pixels.
 
     On a CPU each is answered where it is asked. On a GPU, and where a frame is recorded, its few
     numbers stay on the device until `answer`, which reads those of all questions together. An error

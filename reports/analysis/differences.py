@@ -29,11 +29,11 @@ TIE_DB = 0.1  # of PSNR; a smaller difference matters to nobody
 LEADS, TRAILS, TIE, NOT_RESOLVED = "leads", "trails", "tie", "not resolved"
 HOLM_MARK = "†"  # after a lead that the correction takes away
 # the scope of the correction, everywhere: a reader sees all that it corrects for
-HOLM_SCOPE = "all differences of the page or answer that shows them"
+HOLM_SCOPE = "all differences shown together"
 VERDICT_NOTE = (
-    f"Brackets: {INTERVAL_NOTE}. Tie: the interval lies within +-{TIE_DB:g} dB. Not resolved: it "
-    "reaches further and includes zero. Otherwise one method leads; "
-    f"{HOLM_MARK}: not after Holm's correction for {HOLM_SCOPE}."
+    f"Brackets: {INTERVAL_NOTE}. Tie: the interval lies within +-{TIE_DB:g} dB. Not resolved: "
+    f"the interval is wider and includes zero. Otherwise one method leads; {HOLM_MARK} marks a "
+    f"lead that Holm's correction for {HOLM_SCOPE} takes away."
 )
 RANK_COLUMNS = [
     "metric", "scene", "target_spp", "method", "mean", "difference", "low", "high", "best",
@@ -147,9 +147,9 @@ def difference_notes(records: pd.DataFrame) -> list[str]:
     sizes = records.loc[records["unit"] == "dB", "resolvable"].dropna()
     if len(sizes):
         lines.append(
-            f"With power {POWER:.0%}, these clips resolve differences from {sizes.median():.2f} dB "
-            f"(median; {sizes.min():.2f} to {sizes.max():.2f} dB, by how much a pair of methods "
-            "varies between scenes)".replace("%", " %")
+            f"With power {POWER * 100:.0f} %, these clips resolve differences from "
+            f"{sizes.median():.2f} dB on (median; {sizes.min():.2f} to {sizes.max():.2f} dB, "
+            "depending on the pair of methods)"
         )
     return lines
 

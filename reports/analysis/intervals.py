@@ -44,11 +44,11 @@ class Interval:
 
     @property
     def excludes_zero(self) -> bool:
-        """Does the interval exclude zero? False where the interval is unknown."""
+        """True if the interval excludes zero; False if it is unknown."""
         return self.low > 0 or self.high < 0
 
     def is_within(self, margin: float) -> bool:
-        """Does the interval lie within +-margin? False where the interval is unknown."""
+        """True if the interval lies within +-margin; False if it is unknown."""
         return -margin <= self.low and self.high <= margin
 
     @property

@@ -38,8 +38,8 @@ SCORE_NAMES = {
 }  # as papers write them
 RULES = {"higher": "Higher is better.", "lower": "Lower is better."}
 SCORE_NOTE = (
-    "Methods are in the order of their scores at the budget nearest to 1 spp that most have. Bold "
-    f"is best at its budget; others are compared with it. {VERDICT_NOTE}"
+    "Methods are sorted by their scores at the budget nearest to 1 spp that most methods have. The "
+    f"best at each budget is bold; the others are compared with it. {VERDICT_NOTE}"
 )
 HTML = re.compile(r"<(?=[A-Za-z/!?])")  # the beginning of a tag or of a comment
 DIGITS = 3  # significant ones, of the median of a table without a unit

@@ -24,7 +24,7 @@ def is_recording() -> bool:
 
 
 def is_recorded(values: Tensor) -> bool:
-    """True if operations on `values` are recorded: by torch.compile or a CUDA graph, or on fakes.
+    """True if operations on `values` are recorded, as by torch.compile or in a CUDA graph.
 
     Every subclass of Tensor counts: a `FakeTensor` has no values, and others stand for tensors
     that something else computes.

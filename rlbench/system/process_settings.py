@@ -11,7 +11,7 @@ GIGABYTE = 2**30
 
 
 def keep_freed_memory() -> bool:
-    """Let the C library reuse freed memory instead of returning it to the system; was it possible?
+    """Let the C library reuse freed memory, not return it to the system; False if it cannot.
 
     By default glibc maps a tensor above 32 MiB anew whenever one is created, and the system clears
     its pages: at 720 x 720, two fifths of the time of `ours`. It returns smaller ones too, which

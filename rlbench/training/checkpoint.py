@@ -93,7 +93,7 @@ class Progress:
 
     @property
     def trend(self) -> str:
-        """Is the validation still "rising" in the last fifth of the run, or "flat"?
+        """The validation in the last fifth of the run: "rising" or "flat".
 
         Empty with fewer than two validations.
         """

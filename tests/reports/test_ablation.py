@@ -68,7 +68,7 @@ def test_scores_without_a_partner_and_budgets_that_a_variant_lacks_are_listed(tm
     ]
     page = page_of([*table, *alone], tmp_path)
     assert "- ours/latent-small at 1 spp: 32 scores without a partner, 32 pairs" in page
-    assert "- ours/latent-small at 0.5 spp: no score of it or of ours" in page
+    assert "- ours/latent-small at 0.5 spp: it or ours has no score" in page
 
 
 def test_a_variant_of_a_part_is_compared_with_the_part_where_that_was_scored(tmp_path):

@@ -1,1 +1,1 @@
-"""How good are gradient estimators of a sampler? Bias and noise against an exact gradient."""
+"""Bias and noise of gradient estimators of a sampler, against an exact gradient."""

@@ -1,4 +1,4 @@
-"""The section `gradients` of `rlbench stress`: may a sampler trust its gradient?"""
+"""The section `gradients` of `rlbench stress`: estimated against true gradients of a sampler."""
 
 from __future__ import annotations
 

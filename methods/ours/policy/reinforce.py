@@ -128,7 +128,7 @@ class BlockReinforce(SamplerLearner):
 def budget_coupling(usual: Tensor, multiplicative: bool) -> tuple[Tensor, Tensor]:
     """Weights for the price, and the direction of actions that the budget cancels.
 
-    `usual` are the mean counts n. Everybody pays for one sample more in proportion to n, so the
+    `usual` are the mean counts n. All pixels give up samples in proportion to n, so the
     price is the mean slope of error against count, weighted by n. An observed slope is already
     weighted by the square of the change of count, which is uniform if actions add to the density
     and grows as n if they multiply it. The budget cancels a common factor on every density: a

@@ -263,7 +263,7 @@ class RecordingMethod(MethodWrapper[Method]):
         return result
 
     def _is_valid(self, density: Any, samples: Samples) -> bool:
-        """Would a benchmark run accept this density?"""
+        """True if a benchmark run would accept this density."""
         if find_density_fault(density, samples.counts.shape):
             return False
         return self.method.traits.adaptive or bool(density.max() == density.min())

@@ -1,4 +1,4 @@
-"""Section `allocation`: does every density become sample counts of exactly the budget, up to 4K?"""
+"""Section `allocation`: every density becomes sample counts of exactly the budget, up to 4K."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""One bad pixel: does a single bad value stay where it is, and is it gone after a few frames?
+"""Section `bad-pixel`: a bad value stays in its pixel, and is gone after a few frames.
 
 Frame 2 of a moving procedural clip gets one bad value in a sample, in a buffer or in the state. The
 images are compared with those of a run without it for seven frames. A legal change at the same

@@ -1,4 +1,4 @@
-"""Section `budgets`: does a method run at every budget, density and image size?
+"""Section `budgets`: a method runs at every budget, density and image size.
 
 Budgets run from 0 to more than the pool has. Densities that no method plans put all samples in one
 pixel, in half the image, or span the range of floats; they replace the density of adaptive methods.

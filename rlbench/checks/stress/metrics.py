@@ -1,4 +1,4 @@
-"""Section `metrics`: does every installed metric give the expected answer on a broken image?
+"""Section `metrics`: every installed metric gives the expected score for a broken image.
 
 Each metric scores pairs of an image and its reference: equal, slightly noisy, black, negative,
 overflowing, and with one or all pixels NaN. A broken image must never score as well as an equal

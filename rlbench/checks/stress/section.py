@@ -62,7 +62,7 @@ class StressedMethod:
 
     @cached_property
     def keeps_state(self) -> bool:
-        """Does it declare or return a state? One that gives back what it was given keeps none."""
+        """True if the method declares or returns a state, other than the one it was given."""
         if self.traits.temporal:
             return True
         clip = procedural_clip(0, PROBED_SIZE, PROBED_FRAMES, device=self.device)

@@ -61,7 +61,7 @@ MAX_FRAMES = 3  # frames whose normals are compared with their depth
 
 
 def check_finite(arrays: ClipArrays) -> CheckResult:
-    """Is every value finite, except the depth of the background?"""
+    """Passes if every value is finite, except the depth of the background."""
     images = {**arrays.gbuffer, **_radiance(arrays)}
     masks = {
         name: torch.from_numpy(nonfinite_mask(name, image.numpy()))
@@ -72,7 +72,7 @@ def check_finite(arrays: ClipArrays) -> CheckResult:
 
 
 def check_non_negative(arrays: ClipArrays) -> CheckResult:
-    """Is radiance nowhere negative?"""
+    """Passes if no radiance is negative."""
     masks = {name: image < 0 for name, image in _radiance(arrays).items()}
     remedy = "clip at 0, and look for a filter with negative lobes or a wrong colour matrix"
     return _report("non-negative radiance", masks, "negative", remedy)

@@ -27,7 +27,7 @@ STORED = "as stored"
 
 
 def check_albedo(arrays: ClipArrays) -> CheckResult:
-    """Is albedo linear, in [0, 1], and not black?"""
+    """Passes if albedo is linear, in [0, 1], and not black."""
     if "albedo" not in arrays.gbuffer:
         return absent("albedo")
     albedo = arrays.gbuffer["albedo"]
@@ -92,7 +92,7 @@ def _usable_pairs(arrays: ClipArrays, albedo: Tensor, log_albedo: Tensor, axis: 
 
 
 def _is_same_surface(arrays: ClipArrays, axis: int) -> Tensor:
-    """[t h w] Do both pixels of a pair have the same normal and nearly the same depth?"""
+    """[t h w] True where both pixels of a pair have the same normal and nearly the same depth."""
     normal, depth = arrays.gbuffer["normal"], arrays.gbuffer["depth"]
     bend: Tensor = (_at(normal, axis, 0) - _at(normal, axis, GAP)).norm(dim=1)
     first, second = _at(depth, axis, 0)[:, 0], _at(depth, axis, GAP)[:, 0]
@@ -155,7 +155,9 @@ def reoriented(arrays: ClipArrays, correlations: Correlations) -> ClipArrays:
 
 
 def check_orientation(correlations: Correlations) -> CheckResult:
-    """Are G-buffer and samples oriented like the reference, rows from the top, columns from left?
+    """Passes if G-buffer and samples have the orientation of the reference.
+
+    Rows run from the top, columns from the left.
 
     `correlations` is the result of `correlate_orientations`. A clip that is upside down as a whole
     passes.

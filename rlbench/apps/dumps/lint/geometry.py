@@ -1,4 +1,4 @@
-"""Depth and normals: is depth linear along the view axis, are normals unit vectors in world space?
+"""Checks that depth is linear along the view axis, and normals are unit vectors in world space.
 
 A kind of depth and a focal length place every pixel in camera space; differences between
 neighbours there give normals. For the right kind and focal length, one rotation maps them to the
@@ -164,14 +164,14 @@ def normalize(normal: Float[Tensor, "t 3 h w"]) -> Float[Tensor, "t 3 h w"]:
 
 
 def is_encoded(normal: Float[Tensor, "t 3 h w"]) -> bool:
-    """Do the normals lie in [0, 1], with unit length after 2 n - 1?"""
+    """True if the normals lie in [0, 1], with unit length after 2 n - 1."""
     return float(normal.min()) >= 0 and _unit_share(2 * normal - 1) > 0.9
 
 
 def check_normals(
     arrays: ClipArrays, fits: dict[str, DepthFit], is_upright: bool = True
 ) -> CheckResult:
-    """Are normals in world space, of unit length, and 0 in the background?
+    """Passes if normals are in world space, of unit length, and 0 in the background.
 
     `fits` is the result of `rlbench.apps.dumps.lint.checks.fit_depth` for these arrays. Where the
     G-buffer is flipped (`is_upright` is False), world-space normals look mirrored and are accepted.
@@ -200,7 +200,7 @@ def check_normals(
 
 
 def _is_curved(normal: Tensor) -> bool:
-    """Do normals have two directions at least? One wall alone fits a mirrored rotation as well."""
+    """True if normals have at least two directions; a single wall also fits a mirrored rotation."""
     vectors = normal.movedim(1, -1).reshape(-1, 3).double()
     largest, second, _ = torch.linalg.eigvalsh(vectors.T @ vectors).flip(0).tolist()
     return bool(second > 1e-4 * largest)
@@ -272,7 +272,7 @@ def _unit_share(normal: Tensor) -> float:
 
 
 def check_depth(arrays: ClipArrays, fits: dict[str, DepthFit]) -> CheckResult:
-    """Is depth linear, along the view axis, and +inf in the background?
+    """Passes if depth is linear, along the view axis, and +inf in the background.
 
     `fits` is the result of `rlbench.apps.dumps.lint.checks.fit_depth` for these arrays.
     """

@@ -171,7 +171,7 @@ def format_unclaimed(source: Path, layout: Layout) -> str:
 
 
 def _read_counts(source: Path, tables: Tables) -> dict[str, str]:
-    """Are images that count spp means of the first samples, or the samples themselves?
+    """Keys of the layout that say whether images are means of the first samples or single samples.
 
     Of two samples both are as noisy; a mean of two varies half as much as the first of them.
     """
@@ -216,7 +216,7 @@ def _lost_noise(pool: Float[Tensor, "t s 3 h w"]) -> tuple[float, float]:
 
 
 def _read_alpha(source: Path, tables: Tables) -> dict[str, str]:
-    """Are colours multiplied by alpha, as EXR requires? Judged where alpha is partial.
+    """Keys of the layout that say whether colours are multiplied by alpha, where it is partial.
 
     A pixel of alpha a between a surface F and what is behind it, B, is a F + (1 - a) B if colours
     are multiplied (or alpha is a mask beside a whole image), and F if they are not.
@@ -256,7 +256,7 @@ def _read_alpha(source: Path, tables: Tables) -> dict[str, str]:
 
 
 def _read_dashes(source: Path, tables: Tables) -> dict[str, str]:
-    """Is the - before all numbers a dash? It could be the sign of negative frames."""
+    """Remarks on a - before all frame numbers, read as a dash: it could be a sign."""
     found = {name: table["files"] for name, table in tables.items() if "-{frame}" in table["files"]}
     return {
         name: f"unsure: the - before frames is read as a dash; write {files.replace('-{', '{')} if "
@@ -358,7 +358,7 @@ def _read_motion(arrays: ClipArrays, tables: Tables) -> dict[str, str]:
 
 
 def _read_jitter(source: Path, tables: Tables) -> dict[str, str]:
-    """Does motion contain the camera's jitter, and that of which Halton sequence?"""
+    """The table `camera` of the layout, if motion contains the jitter of a Halton sequence."""
     layout = decode_layout(tables, "guess")
     arrays = import_arrays(source, layout)
     if "motion" not in arrays.gbuffer or not find_jitter_fault(arrays):
@@ -420,7 +420,7 @@ def _read_normal_space(arrays: ClipArrays, tables: Tables) -> dict[str, str]:
 
 
 def _read_demodulation(arrays: ClipArrays, tables: Tables) -> dict[str, str]:
-    """Is the mean of the samples nearer to the reference after a product with albedo?"""
+    """Keys of the layout, if albedo times the mean of the samples is nearer to the reference."""
     if "albedo" not in arrays.gbuffer or "reference" not in tables:
         return {}
     mean, reference = local_mean(arrays.pools["path"].mean(1)), local_mean(arrays.reference)

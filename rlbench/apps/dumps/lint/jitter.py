@@ -1,4 +1,4 @@
-"""Camera jitter: does motion contain it? Then it misses by the same part of a pixel everywhere.
+"""Finds camera jitter in motion, which then misses by the same part of a pixel everywhere.
 
 The disagreement of a frame is what must be added to its motion, everywhere alike, so that the frame
 before lands on it best.

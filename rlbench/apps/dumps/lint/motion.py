@@ -1,4 +1,4 @@
-"""Motion: does the stored convention reproject one frame onto the next, and no other better?
+"""Checks that no other convention of motion reprojects a frame onto the next one better.
 
 A convention is tried on how much of the change between two frames its motion explains.
 """
@@ -217,7 +217,7 @@ def _fit_robustly(terms: Float[Tensor, "p 4"], target: Float[Tensor, " p"]) -> F
 
 
 def check_motion(arrays: ClipArrays) -> CheckResult:
-    """Does motion point to the previous position of a pixel, and does no other convention fit?"""
+    """Passes if motion points to the previous position of a pixel, and no other convention fits."""
     if result := _check_without_fit(arrays):
         return result
     ranked = rank_conventions(arrays)
@@ -242,7 +242,7 @@ def check_motion(arrays: ClipArrays) -> CheckResult:
 
 
 def check_sky(arrays: ClipArrays) -> CheckResult:
-    """Does the sky move as the camera turns? `check_motion` judges surfaces alone."""
+    """Passes if the sky moves as the camera turns; `check_motion` checks surfaces alone."""
     if arrays.header.static or not {"motion", "depth"} <= set(arrays.gbuffer):
         return passed(SKY, "not judged in a static clip, or without motion and depth")
     motion = arrays.gbuffer["motion"].movedim(1, -1).double().numpy()

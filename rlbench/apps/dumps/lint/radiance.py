@@ -1,4 +1,4 @@
-"""Radiance: are samples and reference independent, linear, and as noisy as they say?
+"""Checks that samples and reference are independent, linear, and as noisy as their spp predict.
 
 Noise is measured by correlations and ratios, with standard errors estimated from blocks of pixels.
 """
@@ -102,12 +102,12 @@ DARK, TOO_DARK = 5e-3, 5e-4  # mean of the displayed image, linear
 
 
 def has_one_reference(arrays: ClipArrays) -> bool:
-    """Are both halves the same image, so that nothing is known of the reference's noise?"""
+    """True if both halves are the same image, so that the reference's noise is unknown."""
     return bool((arrays.half_a == arrays.half_b).all())
 
 
 def check_halves(arrays: ClipArrays) -> CheckResult:
-    """Are the halves independent, with as much noise as their samples per pixel predict?
+    """Passes if the halves are independent, with the noise that their samples per pixel predict.
 
     Shared samples cannot be detected where clip.toml says that samples are stratified.
     """
@@ -129,7 +129,7 @@ def check_halves(arrays: ClipArrays) -> CheckResult:
 
 
 def _check_noise_level(arrays: ClipArrays, check: str) -> CheckResult:
-    """Are the halves as noisy as the samples and reference_spp predict?"""
+    """Passes if the halves are as noisy as the samples and reference_spp predict."""
     if 0 in arrays.header.reference_spp[: len(arrays)]:
         found = "reference_spp is not known, so no noise level is predicted"
         return warning(check, found, "set reference_spp in clip.toml if it is known")
@@ -164,7 +164,7 @@ def half_noise_ratio(arrays: ClipArrays) -> tuple[float, float]:
 
 
 def check_noise_ceiling(arrays: ClipArrays) -> CheckResult:
-    """Which PSNR does the reference's own noise allow?"""
+    """The highest PSNR that the reference's noise allows; a warning if it is low or unknown."""
     check, value = "noise ceiling", noise_ceiling_db(arrays)
     if has_one_reference(arrays):
         found = "not known, because both halves are the same image"
@@ -193,7 +193,7 @@ def noise_ceiling_db(arrays: ClipArrays) -> float:
 
 
 def check_exposure(arrays: ClipArrays) -> CheckResult:
-    """Is radiance linear and unclipped, and does the exposure give a usable image?"""
+    """Passes if radiance is linear and unclipped, and the exposure gives a usable image."""
     check, half = "exposure", arrays.half_a
     maximum = float(half.max())
     if maximum > 0 and bool(((half * 255).round() == half * 255).all()):
@@ -214,7 +214,7 @@ def check_exposure(arrays: ClipArrays) -> CheckResult:
 
 
 def check_samples(arrays: ClipArrays) -> CheckResult:
-    """Are the samples of a pixel independent of each other?"""
+    """Passes if the samples of a pixel are independent of each other."""
     check, parts = "sample independence", []
     for kind, pool in arrays.pools.items():
         if pool.shape[1] < 2:
@@ -249,7 +249,7 @@ def _check_pairs(check: str, kind: str, pool: Tensor) -> CheckResult | str:
 
 
 def check_noise_pattern(arrays: ClipArrays) -> CheckResult:
-    """Is the noise of a pixel independent of that of the next pixel, and of the next frame?"""
+    """Passes if the noise of a pixel is independent of the next pixel's and the next frame's."""
     check, parts = "noise pattern", []
     for kind, pool in arrays.pools.items():
         noise = bounded_noise(pool)
@@ -270,7 +270,7 @@ def check_noise_pattern(arrays: ClipArrays) -> CheckResult:
 
 
 def check_seeds(arrays: ClipArrays) -> CheckResult:
-    """Are the samples independent of the reference?
+    """Passes if the samples are independent of the reference.
 
     The difference of the halves is pure noise with mean zero: a sample that is independent of both
     cannot correlate with it, whatever its distribution; a sample that is part of one half does.
@@ -314,7 +314,7 @@ def _strongest_correlation(pool: Tensor, difference: Tensor) -> tuple[str, float
 
 
 def check_brightness(arrays: ClipArrays) -> CheckResult:
-    """Does the mean of the samples equal that of the reference?"""
+    """Passes if the mean of the samples equals that of the reference."""
     check, parts = "brightness", []
     for kind, pool in arrays.pools.items():
         value, error = ratio_of_sums(pool.mean(1), arrays.reference)
@@ -343,6 +343,6 @@ def _common_noise(arrays: ClipArrays, kind: str) -> tuple[float, float]:
 
 
 def _has_equal_frame(one: Tensor, other: Tensor) -> bool:
-    """Are two samples equal in a whole frame that is not constant?"""
+    """True if two samples are equal in a whole frame that is not constant."""
     equal = (one == other).flatten(1).all(1)
     return bool((equal & (one.flatten(1).std(1) > 0)).any())

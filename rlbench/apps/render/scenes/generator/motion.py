@@ -154,7 +154,7 @@ def is_blocked(
     track: CameraTrack,
     clearance: float,
 ) -> bool:
-    """Would a disc about a spot overlap an occupied one, or come too near to the camera path?
+    """True if a disc about a spot overlaps an occupied one, or is too near to the camera path.
 
     Lengths are metres; `clearance` is the smallest distance allowed between disc and camera.
     """
