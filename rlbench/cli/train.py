@@ -154,8 +154,7 @@ def train(
         Path | None,
         option(
             QUEUE,
-            "run the trainings that a TOML file lists, side by side; the same command "
-            "resumes them",
+            "run the trainings that a TOML file lists, side by side; the same command resumes them",
             value="FILE",
             exists=True,
             dir_okay=False,

@@ -183,9 +183,9 @@ def run_queue(
         try:
             while limit.minutes_left > 0:
                 for training in [each for each in running if running[each].poll() is not None]:
-                    code = running.pop(training).returncode
-                    on_event(_end(training, code))
-                    done |= {training.name} if code == 0 else set()
+                    on_event(_end(training, code := running.pop(training).returncode))
+                    if code == 0:
+                        done.add(training.name)
                 ready = [training for training in left if done.issuperset(training.after)]
                 for training in ready[: at_once - len(running)]:
                     left.remove(training)

@@ -11,6 +11,8 @@ import sys
 import time
 from collections.abc import Callable, Iterator
 from contextlib import suppress
+from dataclasses import replace
+from functools import partial
 from pathlib import Path
 
 import pytest
@@ -26,14 +28,6 @@ from tests.learning_plugin import write_learner
 
 KNOWN = ["frames", "crop", "start"]
 TIMEOUT_S = 120.0  # on a busy machine, a process takes long to import torch
-# runs a queue of one training in a process of its own
-RUN = """
-import sys
-from pathlib import Path
-from rlbench.training.queue import Training, run_queue
-out, weights, *words = sys.argv[1:]
-run_queue([Training("blur", tuple(words), Path(weights), 10**6)], Path(out), 1)
-"""
 ROWS = "[[training]]\nmethod = 'a'\nafter = 'b'\n[[training]]\nmethod = 'b'\n"
 
 
@@ -84,14 +78,15 @@ def words(tmp_path_factory) -> tuple[str, ...]:
     """Options of a training of one kernel on one small clip."""
     folder = tmp_path_factory.mktemp("words")
     clip, plugin = write_noise(folder / "noise", h=24, w=24), write_learner(folder)
-    words = ("-m", "blur", "--plugin", str(plugin), "--clips", str(clip), "--device", "cpu")
+    words = ("--plugin", str(plugin), "--clips", str(clip), "--device", "cpu")
     return (*words, "--crop", "16", "--eval-interval", "30")
 
 
 def prepare(out: Path, name: str, words: tuple[str, ...], *more: str, after=()) -> Training:
     """A training in `out/name`."""
+    words = ("-m", "blur", "--out", str(out / name), *words, *more)
     weights = out / name / "blur" / "blur.safetensors"
-    return Training(name, (*words, "--out", str(out / name), *more), weights, 60, tuple(after))
+    return Training(name, words, weights, 60, tuple(after))
 
 
 @pytest.fixture(scope="module")
@@ -137,10 +132,10 @@ def test_a_second_call_skips_what_is_done_and_retries_what_failed(finished):
 
 
 def test_a_training_with_other_options_has_yet_to_run(finished):
-    trainings, out, _ = finished
+    trainings, *_ = finished
     for name in ("first", "fails"):
-        changed = prepare(out, name, trainings[name].words, "--seed", "1")
-        assert read_attempt(changed) == ("waiting", "")
+        words = (*trainings[name].words, "--seed", "1")
+        assert read_attempt(replace(trainings[name], words=words)) == ("waiting", "")
 
 
 def wait_until(holds: Callable[[], bool]) -> None:
@@ -151,18 +146,24 @@ def wait_until(holds: Callable[[], bool]) -> None:
 
 
 class Campaign:
-    """A queue in a process of its own, with one training that never ends."""
+    """A queue on the command line, in a process of its own, with a training that never ends."""
 
     def __init__(self, out: Path, words: tuple[str, ...]) -> None:
-        self.out, self.training = out, prepare(out, "blur", words, "--frames", str(10**6))
-        words = (str(out), str(self.training.weights), *self.training.words)
-        self.command = [sys.executable, "-c", RUN, *words]
+        self.out = out
+        self.training = Training("blur", (), out / "blur" / "blur.safetensors", 10**6)
+        (out / "q.toml").write_text("[[training]]\nmethod = 'blur'\nframes = 1_000_000\n")
+        options = ("--queue", str(out / "q.toml"), "--out", str(out), *words)
+        self.command = [sys.executable, "-m", "rlbench", "train", *options]
 
     def start(self) -> None:
         """Start, and wait until the training has begun or gone on."""
         before = self.frames()
         environment = os.environ | {"RLBENCH_CACHE": str(self.out / "cache")}
-        self.process = subprocess.Popen(self.command, cwd=CHECKOUT, env=environment)
+        # as in a terminal: shells let jobs in the background ignore SIGINT, and tests may be one
+        listen = partial(signal.signal, signal.SIGINT, signal.SIG_DFL)
+        self.process = subprocess.Popen(
+            self.command, cwd=CHECKOUT, env=environment, preexec_fn=listen
+        )
         wait_until(lambda: self.frames() > before or self.process.poll() is not None)
 
     def state(self) -> str:
