@@ -59,6 +59,7 @@ def train(
     validation_clips: Sequence[Path] | Mapping[str, Sequence[Path]],
     out: Path,
     config: TrainingConfig,
+    *,
     device: str = "cpu",
     minutes: float = math.inf,
     command: str = "",
@@ -268,11 +269,6 @@ def _count_frames(clip: InMemoryClip) -> int:
     return len(clip) * clip.size.n
 
 
-def hidden_progress(title: str, frames: int) -> AbstractContextManager[OnProgress]:
-    """A progress bar that shows nothing."""
-    return nullcontext(lambda progress, loss: None)
-
-
 @dataclass(frozen=True)
 class TrainingRuns:
     """How and where methods are trained."""
@@ -283,7 +279,7 @@ class TrainingRuns:
     minutes: float = math.inf  # for each method
     command: str = ""  # recorded in the model cards
     allow_config_change: bool = False  # resume checkpoints that have a different config
-    progress_bar: ProgressBar = hidden_progress
+    progress_bar: ProgressBar = lambda title, frames: nullcontext(lambda progress, loss: None)
     suffix: str = ""  # of the folders of all runs
     start: Path | None = None  # weights file from which new runs start
 
@@ -315,14 +311,14 @@ class TrainingRuns:
                 split.validation,
                 folder,
                 self.config,
-                self.device,
-                self.minutes,
-                self.command,
-                on_progress,
-                self.allow_config_change,
-                split.remark,
-                split.mixed_in,
-                self.start,
+                device=self.device,
+                minutes=self.minutes,
+                command=self.command,
+                on_progress=on_progress,
+                allow_config_change=self.allow_config_change,
+                remark=split.remark,
+                mixed_in=split.mixed_in,
+                start=self.start,
             )
         return result.weights
 
