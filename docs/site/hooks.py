@@ -28,7 +28,7 @@ from PIL import Image
 
 sys.path.append(str(Path(__file__).parents[2]))  # mkdocs restores the path after this module
 
-from docs.site.boards import Board, make_boards
+from docs.site.boards import Board, Key, make_boards
 from docs.site.results_pages import make_pages
 from rlbench.apps.render.jobs.contact_sheet import cut_tile
 from rlbench.apps.render.scene_facts import scene_facts
@@ -85,7 +85,9 @@ def _boards_of_baselines() -> list[Board]:
     boards = []
     for name in baseline.shipped_baselines():
         shipped = baseline.load_baseline(baseline.find_baseline(name))
-        errors = {e.key: e.stderr_db for e in shipped.entries if e.stderr_db is not None}
+        errors: dict[Key, float] = {
+            e.key: e.stderr_db for e in shipped.entries if e.stderr_db is not None
+        }
         boards += make_boards(baseline.to_table(shipped), BASELINE_SOURCE, errors)
     return boards
 
