@@ -12,26 +12,18 @@ import pytest
 
 from docs.site.boards import make_boards
 from docs.site.results_pages import VIEWER, find_papers, make_pages
+from docs.site.scene_facts import scene_facts
 from rlbench import registry
-from rlbench.apps.render.scene_facts import SceneFacts, TakeFacts
 from rlbench.benchmark.listing import method_facts
 from rlbench.benchmark.regression.baseline import find_baseline, load_baseline, to_table
 from rlbench.benchmark.results import to_dataframe
+from rlbench.clips.presets import GENERATORS, TEST_SCENES
 from tests.reports.conftest import METHODS, OFFSET, rows
 
 PSNR_OF_OURS = METHODS["ours"][0] + OFFSET  # at 1 spp, mean over scenes, from formulas
 DOCS = Path(__file__).parents[1] / "docs"
 IMAGES = {"results/images.png": ("ours", "mean")}
-CITY = SceneFacts(
-    name="city",
-    title="City: a square",
-    about=("City: house fronts.", "It tests foliage."),
-    lights=("sun and sky",),
-    takes=(TakeFacts("city", False, (), ()), TakeFacts("city-cut", False, (10,), (15,))),
-    triangles=9,
-    presets=("mini",),
-    licence="MIT",
-)
+PICTURES = {f"scenes/{name}.png" for name in TEST_SCENES}
 
 
 @pytest.fixture(scope="module")
@@ -51,9 +43,14 @@ def methods():
 
 
 @pytest.fixture(scope="module")
-def site(boards, methods):
+def scenes():
+    return scene_facts()
+
+
+@pytest.fixture(scope="module")
+def site(boards, methods, scenes):
     """Pages by path, and the navigation."""
-    return make_pages(boards, methods, [CITY], ["scenes/city.png"], IMAGES)
+    return make_pages(boards, methods, scenes, PICTURES, IMAGES)
 
 
 def test_every_row_that_runs_as_shipped_has_a_page_with_its_question(site, methods):
@@ -111,9 +108,10 @@ def test_every_link_leads_to_a_page_or_a_document_and_the_navigation_names_every
     for path, text in texts.items():
         for target in re.findall(r"\]\((?!https?:)([^)\s]+)\)", text):
             found = target.removeprefix("/")
-            is_known = found in {*pages, "scenes/city.png"} or (DOCS / found).is_file()
+            is_known = found in {*pages, *PICTURES} or (DOCS / found).is_file()
             assert target.startswith("/"), (path, target)
             assert is_known, (path, target)
+    assert {f"scenes/{name}.md" for name in (*TEST_SCENES, *GENERATORS)} < set(texts)
     assert set(re.findall(r"'([\w/+.-]+\.md)'", repr(navigation))) == set(texts)
 
 
@@ -158,9 +156,9 @@ def places():
     return pd.concat(tables, ignore_index=True)
 
 
-def test_each_preset_size_and_device_has_a_leaderboard_with_its_own_scores(places, methods):
+def test_each_preset_size_and_device_has_a_leaderboard_with_its_own_scores(places, methods, scenes):
     boards = make_boards(places, "From a folder.")
-    pages, _ = make_pages(boards, methods, [CITY], report="leaderboard/report.html")
+    pages, _ = make_pages(boards, methods, scenes, report="leaderboard/report.html")
     titles = [
         "mini, 192x192, AMD EPYC",
         "real, 192x192, NVIDIA H100",
@@ -187,5 +185,5 @@ def test_a_method_has_its_time_at_1_spp_and_one_without_results_says_so(places, 
 
 def test_text_of_a_stranger_stays_text(methods, boards):
     odd = replace(methods[0], name="odd", family="odd", question="<b>|</b> [x](y)")
-    page = make_pages(boards, [odd], [CITY])[0]["methods/odd/index.md"]
+    page = make_pages(boards, [odd], [])[0]["methods/odd/index.md"]
     assert r"\<b\>\|\</b\> \[x\](y)" in page

@@ -30,8 +30,8 @@ sys.path.append(str(Path(__file__).parents[2]))  # mkdocs restores the path afte
 
 from docs.site.boards import Board, Key, make_boards
 from docs.site.results_pages import make_pages
+from docs.site.scene_facts import scene_facts
 from rlbench.apps.render.jobs.contact_sheet import cut_tile
-from rlbench.apps.render.scene_facts import scene_facts
 from rlbench.benchmark.listing import method_facts
 from rlbench.benchmark.regression import baseline
 from rlbench.benchmark.results import read

@@ -17,7 +17,7 @@ from rlbench.apps.view.viewer.page import to_json
 from rlbench.benchmark.results import mark_uncertainty
 
 if TYPE_CHECKING:
-    from rlbench.apps.render.scene_facts import SceneFacts
+    from docs.site.scene_facts import SceneFacts
     from rlbench.benchmark.listing import MethodFacts
 
 FOLDER = Path(__file__).parent
@@ -103,11 +103,7 @@ def find_modules() -> dict[str, str]:
 
 
 def method_path(name: str) -> Markup:
-    """The page of a method, family or family/variant, as text that templates do not escape.
-
-    >>> str(method_path("ours")), str(method_path("ours/A2"))
-    ('methods/ours/index.md', 'methods/ours/A2.md')
-    """
+    """The page of a method, `methods/ours/index.md` of ours and `methods/ours/A2.md` of ours/A2."""
     family, _, variant = name.partition("/")
     return Markup(f"methods/{family}/{variant or 'index'}.md")
 
