@@ -76,13 +76,10 @@ def test_scores_of_a_method_are_those_of_the_baseline(site, baseline):
     assert cells[4] == f"{own['city'].psnr:.2f}\u00a0±{own['city'].stderr_db:.2f}"
 
 
-def test_a_page_has_the_card_of_its_weights(site, methods):
+def test_a_page_has_the_card_of_its_weights_and_the_pictures_that_show_the_method(site, methods):
     (card,) = (method.card for method in methods if method.name == "ours")
     assert f"`{card.sha256[:16]}`" in site[0]["methods/ours/index.md"]
     assert f"{card.parameters:,} values" in site[0]["methods/ours/index.md"]
-
-
-def test_a_picture_is_on_the_pages_of_the_methods_that_it_shows(site):
     shown = {path for path, text in site[0].items() if "(/results/images.png)" in text}
     assert shown == {"methods/ours/index.md", "methods/mean/index.md"}
 
@@ -138,34 +135,30 @@ def test_a_leaderboard_imports_the_modules_of_the_viewer_from_this_site_alone(si
     )
 
 
+PLACES = (
+    ("mini", "192x192", "AMD EPYC"),
+    ("real", "192x192", "NVIDIA H100"),
+    ("real", "640x360", "AMD EPYC"),
+    ("real", "640x360", "NVIDIA H100"),
+)
+
+
 @pytest.fixture(scope="module")
 def places():
-    """Results of four places, which differ in preset, size or device, and a dB from each other."""
-    names = [
-        ("mini", "192x192", "AMD EPYC"),
-        ("real", "192x192", "NVIDIA H100"),
-        ("real", "640x360", "AMD EPYC"),
-        ("real", "640x360", "NVIDIA H100"),
-    ]
+    """Boards of results that differ in preset, size or device; each is a dB above the last."""
     tables = []
-    for offset, (preset, size, device) in enumerate(names):
+    for offset, (preset, size, device) in enumerate(PLACES):
         table = to_dataframe(rows(["ours", "mean"], device))
         table = table[(table["target_spp"] <= 2) & (table["metric"] != "relmse")]
         value = table["value"] + offset * (table["metric"] == "psnr")
         tables.append(table.assign(preset=preset, size=size, value=value))
-    return pd.concat(tables, ignore_index=True)
+    return make_boards(pd.concat(tables, ignore_index=True), "From a folder.")
 
 
 def test_each_preset_size_and_device_has_a_leaderboard_with_its_own_scores(places, methods, scenes):
-    boards = make_boards(places, "From a folder.")
-    pages, _ = make_pages(boards, methods, scenes, report="leaderboard/report.html")
-    titles = [
-        "mini, 192x192, AMD EPYC",
-        "real, 192x192, NVIDIA H100",
-        "real, 640x360, AMD EPYC",
-        "real, 640x360, NVIDIA H100",
-    ]
-    assert [board.title for board in boards] == titles
+    pages, _ = make_pages(places, methods, scenes, report="leaderboard/report.html")
+    titles = [", ".join(place) for place in PLACES]
+    assert [board.title for board in places] == titles
     for offset, title in enumerate(titles):
         path = f"leaderboard/{title.lower().replace(', ', '-').replace(' ', '-')}.md"
         assert f"\n# Leaderboard: {title}\n" in pages[path]
@@ -177,7 +170,7 @@ def test_each_preset_size_and_device_has_a_leaderboard_with_its_own_scores(place
 
 
 def test_a_method_has_its_time_at_1_spp_and_one_without_results_says_so(places, methods):
-    pages, _ = make_pages(make_boards(places, "From a folder."), methods, [])
+    pages, _ = make_pages(places, methods, [])
     cost = "inference 16.5 ms a frame at 1 spp: mini, 192x192, AMD EPYC"
     assert cost in pages["methods/ours/index.md"]
     assert "None in the results of this site" in pages["methods/svgf/index.md"]
