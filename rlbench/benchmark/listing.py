@@ -1,7 +1,6 @@
 """What is installed, as plain data: for people as tables, for scripts as JSON, for pages as facts.
 
-torch is imported only where weights have a card. Scenes are built for `scene_facts` alone, which
-takes a few seconds, but not rendered.
+torch is imported only where weights have a card. No scene is built.
 """
 
 from __future__ import annotations

@@ -157,8 +157,7 @@ def train(
         Path | None,
         option(
             QUEUE,
-            "run the trainings that a TOML file lists, on free processors; the same command "
-            "resumes them",
+            "run the trainings that a TOML file lists, side by side; the same command resumes them",
             value="FILE",
             exists=True,
             dir_okay=False,
@@ -167,14 +166,6 @@ def train(
     status: Annotated[
         bool, flag(QUEUE, "--status", "show how far the trainings of --queue are")
     ] = False,
-    pause: Annotated[
-        bool | None,
-        flag(
-            QUEUE,
-            "--pause/--unpause",
-            "stop the processes of the queue that runs in --out, or let them continue",
-        ),
-    ] = None,
 ) -> None:
     """Train methods, or resume their training.
 
@@ -200,9 +191,9 @@ def train(
       rlbench train --queue research/campaign.toml --out runs/campaign
       rlbench train --queue research/campaign.toml --out runs/campaign --status
     """
-    from rlbench.cli import train_queue
+    if queue is not None or status:
+        from rlbench.cli import train_queue
 
-    if train_queue.has_options(context):
         train_queue.run_command(context)
         return
     load_plugins(plugin)

@@ -319,13 +319,9 @@ def sample_budget(budgets: Sequence[float], seed: int, index: int) -> float:
 
 def sequence_budget(clip: InMemoryClip, budgets: Sequence[float], seed: int, index: int) -> float:
     """The budget of sequence `index`, but no more than the samples that its clips store."""
-    return min(sample_budget(budgets, seed, index), float(pool_slots(clip.frames[0])))
-
-
-def pool_slots(frame: Frame) -> int:
-    """The number of stored samples per pixel of a frame."""
-    assert isinstance(frame.pool, StoredPool)
-    return frame.pool.radiance.shape[1]
+    pool = clip.frames[0].pool
+    assert isinstance(pool, StoredPool)
+    return min(sample_budget(budgets, seed, index), float(pool.radiance.shape[1]))
 
 
 @contextmanager

@@ -251,15 +251,15 @@ def save_weights(
     state: TrainState,
     progress: Progress,
     command: str,
-    remark: str = "",
-    validation: Mapping[str, str] | None = None,
+    remark: str,
+    validation: Mapping[str, str],
 ) -> None:
     """Write the kept averaged weights and their model card, whose note begins with the remark.
 
     `validation` describes the clips of each validation set, for the card.
     """
     task, config = state.task, state.config
-    extra = {"spp": config.spp or task.spp, "max_lr": task.max_lr, "validation": validation or {}}
+    extra = {"spp": config.spp or task.spp, "max_lr": task.max_lr, "validation": validation}
     networks, kept_at, kept = state.ema_networks, progress.frames_seen, ""
     if state.best and progress.best:
         networks = copy.deepcopy(networks)

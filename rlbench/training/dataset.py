@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
 from rlbench.clips.compatibility import incompatibility
-from rlbench.clips.header import FILE, ClipError, Header, read_header
+from rlbench.clips.header import FILE, ClipError, read_header
 from rlbench.clips.presets import (
     PRESETS,
     PresetUse,
@@ -380,17 +380,13 @@ def _why_not(folder: Path, traits: Traits, crop: int, budgets: Sequence[float]) 
             if reason := incompatibility(header, traits, spp):
                 return reason
         if min(header.height, header.width) < crop:
-            return _too_small(header, crop)
+            side = min(header.height, header.width)
+            return (
+                f"has {header.height} x {header.width} pixels, fewer than crops of {crop} x "
+                f"{crop}; choose --crop {side} or less"
+            )
         open_clip(folder, needed, pool=traits.pool)
     except ClipError as error:
         hint = "; a training needs a reference of every frame" * ("reference" in str(error))
         return f"{error}{hint}"
     return ""
-
-
-def _too_small(header: Header, crop: int) -> str:
-    side = min(header.height, header.width)
-    return (
-        f"has {header.height} x {header.width} pixels, fewer than crops of {crop} x {crop}; "
-        f"choose --crop {side} or less"
-    )

@@ -269,11 +269,6 @@ def _count_frames(clip: InMemoryClip) -> int:
     return len(clip) * clip.size.n
 
 
-def hidden_progress(title: str, frames: int) -> AbstractContextManager[OnProgress]:
-    """A progress bar that shows nothing."""
-    return nullcontext(lambda progress, loss: None)
-
-
 @dataclass(frozen=True)
 class TrainingRuns:
     """How and where methods are trained."""
@@ -284,7 +279,7 @@ class TrainingRuns:
     minutes: float = math.inf  # for each method
     command: str = ""  # recorded in the model cards
     allow_config_change: bool = False  # resume checkpoints that have a different config
-    progress_bar: ProgressBar = hidden_progress
+    progress_bar: ProgressBar = lambda title, frames: nullcontext(lambda progress, loss: None)
     suffix: str = ""  # of the folders of all runs
     start: Path | None = None  # weights file from which new runs start
 

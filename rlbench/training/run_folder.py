@@ -12,7 +12,7 @@ from __future__ import annotations
 import importlib.util
 import json
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -97,7 +97,6 @@ class RunState:
     frames_seen: int = 0
     speed: float = 0.0  # frames a second, validations included; 0 if unknown
     validation: dict[str, float] = field(default_factory=dict)  # last PSNR of each set, dB
-    is_finished: bool = False
 
     @property
     def seconds_left(self) -> float | None:
@@ -117,25 +116,25 @@ def read_state(folder: Path) -> RunState:
         int(status["frames_seen"]),
         _measure_speed(folder / LOG, status),
         {name: float(score["psnr"]) for name, score in status["validation"].items()},
-        bool(status["finished"]),
     )
 
 
 def _measure_speed(log: Path, status: dict[str, Any]) -> float:
     """Frames a second over the last validations, else over the whole run."""
     points = [(int(status["frames_seen"]), float(status["seconds"]))]
-    points += [(int(line["frames_seen"]), float(line["seconds"])) for line in _last_lines(log)]
-    first, last = min(points), max(points)
-    if first == last:
-        first = (0, 0.0)
-    frames, seconds = last[0] - first[0], last[1] - first[1]
+    last = [json.loads(line) for line in _complete_lines(log)[-SPEED_LINES:]]
+    points += [(int(line["frames_seen"]), float(line["seconds"])) for line in last]
+    begin, end = min(points), max(points)
+    if begin == end:
+        begin = (0, 0.0)
+    frames, seconds = end[0] - begin[0], end[1] - begin[1]
     return frames / seconds if seconds > 0 else 0.0
 
 
-def _last_lines(log: Path) -> Iterator[dict[str, Any]]:
-    """The complete ones of the last lines of a log."""
+def _complete_lines(log: Path) -> list[str]:
+    """The lines of a log, without one that a kill cut off; none if there is no log."""
     lines = read_text(log).splitlines(keepends=True)
-    yield from (json.loads(line) for line in lines[-SPEED_LINES:] if line.endswith("\n"))
+    return [line for line in lines if line.endswith("\n")]
 
 
 class TrainingLogger:
@@ -234,8 +233,8 @@ def _open_tensorboard(folder: Path, frames_seen: int) -> Any:
 
 def _truncate_log(log: Path, frames_seen: int) -> None:
     """Drop lines that were written after `frames_seen` frames, or are incomplete."""
-    lines = read_text(log).splitlines(keepends=True)
-    complete = [line for line in lines if line.endswith("\n")]
-    valid = [line for line in complete if json.loads(line)["frames_seen"] <= frames_seen]
-    if valid != lines:
-        write_text(log, "".join(valid))
+    text = read_text(log)
+    lines = _complete_lines(log)
+    valid = "".join(line for line in lines if json.loads(line)["frames_seen"] <= frames_seen)
+    if valid != text:
+        write_text(log, valid)

@@ -56,7 +56,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterator, Mapping
-from dataclasses import asdict, dataclass, field, fields
+from dataclasses import asdict, dataclass, field
 from typing import TYPE_CHECKING, Any
 
 from rlbench.errors import RlbenchError
@@ -83,10 +83,6 @@ class TrainingError(RlbenchError, RuntimeError):
     """A training run that cannot start, resume or continue."""
 
 
-def ignore_progress(fraction_done: float) -> None:
-    """The default `TrainingTask.on_progress`: does nothing."""
-
-
 @dataclass(frozen=True)
 class TrainingTask:
     """What the training loop needs from a learned method; see the module's guide.
@@ -101,11 +97,11 @@ class TrainingTask:
     networks: nn.Module  # trained, averaged and saved
     losses: Callable[[Clip, float], Iterator[Tensor]]  # (clip, spp) -> one scalar per step
     spp: tuple[float, ...]  # training budgets, samples per pixel; one is drawn for each sequence
-    max_lr: float = 5e-4  # peak of Adam's learning rate; choose it by `find_learning_rate`
+    max_lr: float = 5e-4  # peak of Adam's learning rate
     # factors on the learning rate, by name of a child of `networks` or "auxiliary_network"
     lr_multipliers: Mapping[str, float] = field(default_factory=dict)
     # called before each sequence with the fraction of frames trained on, in [0, 1)
-    on_progress: Callable[[float], None] = ignore_progress
+    on_progress: Callable[[float], None] = lambda fraction_done: None
     origin: str = ""  # source of the initial weights, for the model card; empty if random
     # beginnings of the names of weights in `networks` that others trained before; "" is all of them
     pretrained: tuple[str, ...] = ()
@@ -137,16 +133,6 @@ class TrainingConfig:
     # minutes of training in which the learning rate rises and falls, in place of `frames`; 0: none
     anneal: float = 0.0
     graph: bool = False  # record each step as a CUDA graph, where the task allows it
-
-    @classmethod
-    def from_dict(cls, stored: Mapping[str, Any]) -> TrainingConfig:
-        """The config in a stored dictionary, such as the JSON of a model card.
-
-        Ignores keys that are no field.
-        """
-        names = {field.name for field in fields(cls)}
-        values = {key: value for key, value in stored.items() if key in names}
-        return cls(**values | {"spp": tuple(values.get("spp", ()))})
 
     def to_dict(self) -> dict[str, Any]:
         """The config as it is stored in JSON, with `OPTIONAL` fields only where they are chosen."""

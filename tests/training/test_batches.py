@@ -19,7 +19,6 @@ from rlbench.training.batches import (
     BatchError,
     Batches,
     ResidentClip,
-    pool_slots,
     prefetch,
     sample_budget,
     sequence_budget,
@@ -156,7 +155,7 @@ def test_clips_of_other_sizes_lengths_and_pools_make_batches(tmp_path):
     clips = [batches.sequence(index) for index in range(24)]
     assert {clip.size for clip in clips} == {Size(3, 16, 16)}
     assert {len(clip) for clip in clips} == {2, 3}
-    assert {pool_slots(clip.frames[0]) for clip in clips} == {2, 8}
+    assert {clip.frames[0].pool.radiance.shape[1] for clip in clips} == {2, 8}
 
 
 def test_a_budget_is_limited_to_the_stored_samples(tmp_path):

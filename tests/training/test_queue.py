@@ -1,8 +1,7 @@
-"""A queue of trainings: what its file may say, and what runs, waits, fails, pauses and resumes."""
+"""A queue of trainings: what its file may say, and what runs, waits, fails, ends and resumes."""
 
 from __future__ import annotations
 
-import json
 import os
 import re
 import signal
@@ -10,13 +9,17 @@ import subprocess
 import sys
 import time
 from collections.abc import Callable, Iterator
+from contextlib import suppress
+from dataclasses import replace
+from functools import partial
 from pathlib import Path
 
 import pytest
 
 from rlbench.system.folder_lock import FolderInUseError
 from rlbench.training import queue
-from rlbench.training.queue import Queue, QueueError, RowStatus, Training, read_queue, read_status
+from rlbench.training.queue import QueueError, Training, read_attempt, read_queue, run_queue
+from rlbench.training.run_folder import read_state
 from rlbench.weights import read_card
 from tests.cli.runner import CHECKOUT
 from tests.conftest import write_noise
@@ -24,40 +27,28 @@ from tests.learning_plugin import write_learner
 
 KNOWN = ["frames", "crop", "start"]
 TIMEOUT_S = 120.0  # on a busy machine, a process takes long to import torch
-# runs a queue in a process of its own, at normal priority: a test does not wait for free processors
-RUN = """
-import sys
-from pathlib import Path
-from rlbench.training import queue
-queue._use_spare_time = lambda: None
-words = tuple(sys.argv[3:])
-training = queue.Training("blur", "blur", words, Path(sys.argv[2]), 10**6)
-queue.Queue([training], Path(sys.argv[1]), 1).run()
-"""
+ROWS = "[[training]]\nmethod = 'a'\nafter = 'b'\n[[training]]\nmethod = 'b'\n"
 
 
-def read(tmp_path: Path, text: str) -> queue.QueueFile:
+def read(tmp_path: Path, text: str) -> tuple[list[queue.Entry], int | None]:
     (tmp_path / "q.toml").write_text(text)
     return read_queue(tmp_path / "q.toml", KNOWN)
 
 
-ROWS = "[[training]]\nmethod = 'a'\nafter = 'b'\n[[training]]\nmethod = 'b'\n"
-
-
 def test_an_entry_has_the_defaults_that_it_does_not_replace(tmp_path):
     text = "[queue]\nat_once = 3\nframes = 9\ncrop = 16\n[[training]]\nmethod = 'a'\ncrop = 32\n"
-    content = read(tmp_path, text)
-    assert content.at_once == 3
-    assert content.entries[0].options == {"frames": 9, "crop": 32}
+    (entry,), at_once = read(tmp_path, text)
+    assert at_once == 3
+    assert entry.options == {"frames": 9, "crop": 32}
 
 
 def test_an_entry_comes_after_the_one_that_it_starts_from(tmp_path):
     start = "[[training]]\nname = 'c'\nmethod = 'a'\nstart = 'a'\n"
-    content = read(tmp_path, start + ROWS)
-    assert content.entries[0].after == ("a",)
-    assert [entry.name for entry in content.in_running_order()] == ["b", "a", "c"]
-    own = read(tmp_path, "[[training]]\nmethod = 'a'\nstart = 'a'\n")  # from shipped weights
-    assert own.entries[0].after == ()
+    entries, _ = read(tmp_path, start + ROWS + "[[training]]\nmethod = 'd'\n")
+    after = {entry.name: entry.after for entry in entries}
+    assert list(after.items()) == [("b", ()), ("a", ("b",)), ("c", ("a",)), ("d", ())]
+    (own,), _ = read(tmp_path, "[[training]]\nmethod = 'a'\nstart = 'a'\n")
+    assert own.after == ()  # from shipped weights
 
 
 @pytest.mark.parametrize(
@@ -65,7 +56,7 @@ def test_an_entry_comes_after_the_one_that_it_starts_from(tmp_path):
     [
         ("[queue]\nframse = 3\n" + ROWS, r"\[queue\]: no option 'framse'.*Did you mean 'frames'"),
         (ROWS + "crpo = 3", r"training 2 \(b\): no option 'crpo'.*Did you mean 'crop'"),
-        (ROWS + "after = 'a'", "trainings wait for each other: a <- b <- a|b <- a <- b"),
+        (ROWS + "after = 'a'", "trainings wait for each other, none can be first: a, b"),
         (ROWS + "after = 'x'", "'b': no training 'x' to come after; available: a, b"),
         (ROWS + "name = 'a'", "two trainings are named 'a'"),
         (ROWS + "after = 3", "name and after are names in quotes"),
@@ -81,35 +72,25 @@ def test_a_mistake_in_the_file_is_named(tmp_path, text, message):
         read(tmp_path, text)
 
 
-def test_training_processes_have_the_lowest_priority():
-    code = "import os; print(os.getpriority(os.PRIO_PROCESS, 0), os.sched_getscheduler(0))"
-    output = subprocess.check_output(
-        [sys.executable, "-c", code],
-        start_new_session=True,
-        preexec_fn=queue._use_spare_time,
-        text=True,
-    )
-    assert output.split() in (["19", str(os.SCHED_IDLE)], ["19", str(os.SCHED_OTHER)])
-
-
 @pytest.fixture(scope="module")
 def words(tmp_path_factory) -> tuple[str, ...]:
     """Options of a training of one kernel on one small clip."""
     folder = tmp_path_factory.mktemp("words")
     clip, plugin = write_noise(folder / "noise", h=24, w=24), write_learner(folder)
-    words = ("-m", "blur", "--plugin", str(plugin), "--clips", str(clip), "--device", "cpu")
+    words = ("--plugin", str(plugin), "--clips", str(clip), "--device", "cpu")
     return (*words, "--crop", "16", "--eval-interval", "30")
 
 
 def prepare(out: Path, name: str, words: tuple[str, ...], *more: str, after=()) -> Training:
     """A training in `out/name`."""
-    words = (*words, "--out", str(out / name), *more)
-    return Training(name, "blur", words, out / name / "blur", 60, tuple(after))
+    words = ("-m", "blur", "--out", str(out / name), *words, *more)
+    weights = out / name / "blur" / "blur.safetensors"
+    return Training(name, words, weights, 60, tuple(after))
 
 
 @pytest.fixture(scope="module")
-def finished(tmp_path_factory, words) -> Iterator[tuple[list[str], list[RowStatus], Queue]]:
-    """What a queue said and reached, and the queue: of five trainings, one fails, one waits."""
+def finished(tmp_path_factory, words) -> Iterator[tuple[dict[str, Training], Path, list[str]]]:
+    """Trainings that ran, by name, their folder, and what was said: one failed, one waits."""
     out = tmp_path_factory.mktemp("finished")
     first = prepare(out, "first", words, "--frames", "60")
     start = ("--frames", "60", "--start", str(first.weights))
@@ -121,50 +102,39 @@ def finished(tmp_path_factory, words) -> Iterator[tuple[list[str], list[RowStatu
     ]
     events: list[str] = []
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(queue, "_use_spare_time", lambda: None)
         patch.setenv("RLBENCH_CACHE", str(out / "cache"))
-        patch.setattr(queue, "POLL_S", 0.05)
-        runner = Queue(trainings, out, 2, events.append)
-        yield events, runner.run(), runner
+        run_queue(trainings, out, 2, on_event=events.append)
+        yield {training.name: training for training in trainings}, out, events
 
 
-def test_a_failed_training_stops_no_other_but_those_after_it(finished):
-    _, status, _ = finished
-    states = {row.training.name: row.state for row in status}
-    assert states == {"third": "done", "fails": "failed", "waits": "waiting", "first": "done"}
-    assert status[2].waits_for == ("fails",)
+def test_a_failed_training_is_reported_and_stops_none_but_those_after_it(finished):
+    trainings, *_ = finished
+    attempts = {name: read_attempt(training) for name, training in trainings.items()}
+    message = attempts["fails"][1]
+    assert message.startswith("exit code 2: error: 'blur' cannot use 1 of 1 clips")
+    assert [state for state, _ in attempts.values()] == ["done", "failed", "waiting", "done"]
 
 
-def test_a_failed_training_is_reported_with_its_last_line(finished):
-    _, (_, failed, *_), _ = finished
-    assert failed.message.startswith("exit code 2: error: 'blur' cannot use 1 of 1 clips")
-
-
-def test_a_training_starts_when_the_one_before_it_is_done(finished):
-    events, *_ = finished
+def test_a_training_starts_from_the_weights_of_the_one_before_it(finished):
+    trainings, _, events = finished
     order = [line.partition(";")[0] for line in events]
     assert order.index("first: done") < order.index("third: started")
-
-
-def test_a_training_starts_from_the_weights_of_another(finished):
-    _, (third, *_), _ = finished
-    origin = read_card(third.training.weights).origin
+    origin = read_card(trainings["third"].weights).origin
     assert re.fullmatch(r"blur after 60 frames, \w{12} \(2 of 2 tensors\)", origin)
 
 
-def test_the_status_has_what_the_training_reached(finished):
-    _, (third, *_), _ = finished
-    assert (third.run.frames_seen, third.run.is_finished) == (60, True)
-    assert third.run.speed > 0
-    assert third.run.validation["clips"] == read_card(third.training.weights).curves["clips"][-1][1]
-
-
 def test_a_second_call_skips_what_is_done_and_retries_what_failed(finished):
-    events, _, runner = finished
-    first_call = len(events)
-    Queue(runner.trainings, runner.out, 1, events.append).run()
-    started = [line.partition(":")[0] for line in events[first_call:] if ": started" in line]
-    assert started == ["fails"]
+    trainings, out, _ = finished
+    events: list[str] = []
+    run_queue(list(trainings.values()), out, 1, on_event=events.append)
+    assert [line.partition(":")[0] for line in events if ": started" in line] == ["fails"]
+
+
+def test_a_training_with_other_options_has_yet_to_run(finished):
+    trainings, *_ = finished
+    for name in ("first", "fails"):
+        words = (*trainings[name].words, "--seed", "1")
+        assert read_attempt(replace(trainings[name], words=words)) == ("waiting", "")
 
 
 def wait_until(holds: Callable[[], bool]) -> None:
@@ -175,41 +145,33 @@ def wait_until(holds: Callable[[], bool]) -> None:
 
 
 class Campaign:
-    """A queue in a process of its own, with one training that never ends."""
+    """A queue on the command line, in a process of its own, with a training that never ends."""
 
     def __init__(self, out: Path, words: tuple[str, ...]) -> None:
-        training = prepare(out, "blur", words, "--frames", str(10**6))
-        self.out, self.trainings = out, [training]
-        self.command = [sys.executable, "-c", RUN, str(out), str(training.folder), *training.words]
+        self.out = out
+        self.training = Training("blur", (), out / "blur" / "blur.safetensors", 10**6)
+        (out / "q.toml").write_text("[[training]]\nmethod = 'blur'\nframes = 1_000_000\n")
+        options = ("--queue", str(out / "q.toml"), "--out", str(out), *words)
+        self.command = [sys.executable, "-m", "rlbench", "train", *options]
 
     def start(self) -> None:
-        """Start, and wait until the training has begun or gone on."""
-        before = self.frames()
+        """Start, and wait until the training has written a checkpoint, or one more."""
+        before = len(self.log())
         environment = os.environ | {"RLBENCH_CACHE": str(self.out / "cache")}
-        self.process = subprocess.Popen(self.command, cwd=CHECKOUT, env=environment)
-        wait_until(lambda: self.frames() > before or self.process.poll() is not None)
+        # as in a terminal: shells let jobs in the background ignore SIGINT, and tests may be one
+        listen = partial(signal.signal, signal.SIGINT, signal.SIG_DFL)
+        self.process = subprocess.Popen(
+            self.command, cwd=CHECKOUT, env=environment, preexec_fn=listen
+        )
+        wait_until(lambda: len(self.log()) > before or self.process.poll() is not None)
 
     def state(self) -> str:
-        return read_status(self.trainings, self.out)[0].state
+        return read_attempt(self.training)[0]
 
-    def frames(self) -> int:
-        return read_status(self.trainings, self.out)[0].run.frames_seen
-
-    def log(self) -> list[dict[str, float]]:
-        text = (self.trainings[0].folder / "log.jsonl").read_text()
-        return [json.loads(line) for line in text.splitlines()]
-
-    def processes(self) -> list[str]:
-        """The command lines of the processes that train in the folder of this queue."""
-        lines = [_read_words(process) for process in Path("/proc").glob("[0-9]*")]
-        return [line for line in lines if "-m rlbench train" in line and str(self.out) in line]
-
-
-def _read_words(process: Path) -> str:
-    try:
-        return (process / "cmdline").read_bytes().replace(b"\0", b" ").decode()
-    except OSError:  # it has ended
-        return ""
+    def log(self) -> list[str]:
+        """A line for each checkpoint."""
+        file = self.training.weights.with_name("log.jsonl")
+        return file.read_text().splitlines() if file.exists() else []
 
 
 @pytest.fixture(scope="module")
@@ -223,40 +185,31 @@ def campaign(tmp_path_factory, words) -> Iterator[Campaign]:
 
 def test_the_status_is_read_while_the_queue_runs(campaign):
     assert (campaign.state(), campaign.process.poll()) == ("running", None)
-    before = campaign.frames()
-    wait_until(lambda: campaign.frames() > before)
+    before = read_state(campaign.training.output.parent).frames_seen
+    wait_until(lambda: read_state(campaign.training.output.parent).frames_seen > before)
 
 
 def test_one_queue_runs_in_a_folder(campaign):
     with pytest.raises(FolderInUseError, match="another rlbench"):
-        Queue(campaign.trainings, campaign.out, 1).run()
-
-
-def test_a_paused_queue_makes_no_progress_until_it_continues(campaign):
-    queue.set_paused(campaign.out, True)
-    before = campaign.frames()
-    time.sleep(1.0)
-    assert (campaign.state(), campaign.frames()) == ("paused", before)
-    queue.set_paused(campaign.out, False)
-    assert campaign.state() == "running"
-    wait_until(lambda: campaign.frames() > before)
+        run_queue([campaign.training], campaign.out, 1)
 
 
 @pytest.mark.parametrize(
-    "number", [signal.SIGKILL, pytest.param(signal.SIGTERM, marks=pytest.mark.slow)]
+    "number", [signal.SIGKILL, *(pytest.param(n, marks=pytest.mark.slow) for n in (15, 2))]
 )
 def test_a_killed_queue_leaves_no_process_and_resumes(campaign, number):
-    queue.set_paused(campaign.out, True)  # stopped processes end too
     campaign.process.send_signal(number)
     campaign.process.wait(TIMEOUT_S)
-    wait_until(lambda: not campaign.processes())
-    assert campaign.state() == "waiting"
+    wait_until(lambda: campaign.state() == "waiting")
+    assert not [line for line in _command_lines() if str(campaign.out) in line]
     log = campaign.log()
     campaign.start()
     assert campaign.state() == "running"
     assert campaign.log()[: len(log) - 1] == log[:-1]  # the last line may be behind the checkpoint
 
 
-def test_a_queue_that_does_not_run_cannot_be_paused(tmp_path):
-    with pytest.raises(QueueError, match="no queue runs in"):
-        queue.set_paused(tmp_path, True)
+def _command_lines() -> Iterator[str]:
+    """The command lines of all processes."""
+    for file in Path("/proc").glob("[0-9]*/cmdline"):
+        with suppress(OSError):  # it has ended
+            yield file.read_bytes().replace(b"\0", b" ").decode()

@@ -2,16 +2,11 @@
 
 from __future__ import annotations
 
-import json
-from pathlib import Path
-
 import pytest
 import torch
 
-from methods.ours.method import CARDS
 from rlbench.training import TrainingConfig
 from rlbench.training.task import OPTIONAL
-from rlbench.weights import read_card
 
 
 def test_the_learning_rate_is_that_of_torchs_one_cycle():
@@ -47,21 +42,9 @@ def test_the_learning_rate_starts_at_a_25th_and_ends_at_a_10000th_of_the_peak(fr
     assert TrainingConfig(batch=16).lr_factor(fraction) == pytest.approx(4 * factor)
 
 
-def test_a_config_in_json_is_read_back():
-    config = TrainingConfig(24, crop=16, sequence_length=3, bf16=True, spp=(0.5, 4.0))
-    assert TrainingConfig.from_dict(json.loads(json.dumps(config.to_dict()))) == config
-
-
 def test_optional_fields_are_in_the_json_only_if_they_are_chosen():
     stored = TrainingConfig(24).to_dict()
     assert stored == {key: value for key, value in stored.items() if key not in OPTIONAL}
     chosen = {"spp": (4.0,), "mix": 0.5, "keep": "best", "anchor": 30.0, "anneal": 1.5}
     assert TrainingConfig(24, **chosen).to_dict() == stored | chosen | {"spp": [4.0]}
     assert set(chosen) == set(OPTIONAL)
-
-
-def test_the_config_in_the_card_of_shipped_weights_is_read():
-    card = read_card(Path(CARDS) / "latent.safetensors")
-    config = TrainingConfig.from_dict(json.loads(card.training_config))
-    assert (config.frames, config.sequence_length, config.bf16) == (6000, 6, True)
-    assert config.spp[:3] == (0.05, 0.25, 0.5)

@@ -8,7 +8,8 @@ import threading
 
 import pytest
 
-from rlbench.apps.view.site import build_pages, preset_scores
+from docs.site.boards import make_boards
+from docs.site.results_pages import make_pages
 from rlbench.benchmark.listing import method_facts
 
 
@@ -16,8 +17,8 @@ from rlbench.benchmark.listing import method_facts
 def address(results, tmp_path):
     """A server of the pages; the Markdown around the table stays as it is."""
     few = results[(results["metric"] == "psnr") & (results["target_spp"] <= 2)]
-    scores = preset_scores(few.assign(preset="mini"), "From formulas.")
-    pages, _ = build_pages(scores, method_facts(), [])
+    boards = make_boards(few.assign(preset="mini", device=""), "From formulas.")
+    pages, _ = make_pages(boards, method_facts(), [])
     for path, text in pages.items():
         file = tmp_path / path.replace("/mini.md", "/mini/index.html")
         file.parent.mkdir(parents=True, exist_ok=True)
@@ -52,6 +53,7 @@ def test_rows_are_ranked_filtered_and_linked_to_their_pages(browser, address):
         page.get_attribute('tr[data-row="ours/latent-small"] a', "href")
         == "../../methods/ours/latent-small/"
     )
+    assert "undefined" not in page.inner_text(".leaderboard")
     page.close()
     assert problems == []
     origin = address.removesuffix("leaderboard/mini/")

@@ -44,11 +44,7 @@ class SceneFacts:
 
 
 def scene_facts() -> list[SceneFacts]:
-    """The test scenes, then the generators of scenes.
-
-    >>> [scene.name for scene in scene_facts()]
-    ['city', 'temple', 'hall', 'ripples', 'generated', 'eventful', 'hard']
-    """
+    """The test scenes, then the generators of scenes."""
     return [
         *(_scene_facts(name, registry.load_plugin("scenes", name)()) for name in TEST_SCENES),
         *(_generator_facts(name) for name in GENERATORS),

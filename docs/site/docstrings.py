@@ -11,7 +11,7 @@ from typing import Any
 import griffe
 
 
-class FenceExamples(griffe.Extension):
+class FenceExamples(griffe.Extension):  # type: ignore[misc]
     """Puts each paragraph that begins with `>>>` into a fenced code block."""
 
     def on_object(self, *, obj: griffe.Object, **kwargs: Any) -> None:
