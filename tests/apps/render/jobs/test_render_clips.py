@@ -128,11 +128,6 @@ def test_extra_buffers_are_in_the_clip(llvm, tmp_path):
         np.testing.assert_allclose(buffer, expected, atol=2**-11, err_msg=name)  # half, up to 1
 
 
-def test_opening_a_clip_without_extra_buffers_lists_those_it_has(clip):
-    with pytest.raises(ClipError, match="no buffer object; it has: albedo, normal, depth, motion"):
-        open_clip(clip, inputs=frozenset({"object"}))
-
-
 def test_a_changed_scene_replaces_its_frames(clip):
     before = contents(clip)
     painted = replace(room().meshes[0], material=diffuse(0.9, 0.1, 0.1))
