@@ -7,7 +7,7 @@ from fractions import Fraction
 
 import pytest
 import torch
-from hypothesis import assume, given, settings
+from hypothesis import assume, example, given, settings
 from hypothesis import strategies as st
 from torch import Tensor
 
@@ -61,6 +61,7 @@ def problems(draw):
 
 @settings(deadline=None)
 @given(problems())
+@example(([0.0, 1.0, 2.0**65], 4, [0, 1, 0], 2))  # a contrast beyond the search's doublings
 def test_the_sum_is_exact_and_counts_are_within_the_limits(problem):
     density, total, low, high = problem
     counts = allocate_row(density, total, low, high)
