@@ -34,6 +34,7 @@ from rlbench.errors import RlbenchError, SourceError
 from tests.apps.dumps.importers.sources import noisebase_arrays, write_oidn, zarr_zip
 from tests.apps.test_fuzz_records import draw_change, fuzz
 from tests.clips.clip_folders import HEADER, write_clip
+from tests.clips.test_image_files import KINDS, WINDOW, canvas, header
 
 CASES = [60, pytest.param(2000, marks=pytest.mark.slow)]
 
@@ -127,50 +128,6 @@ def fuzz_in_a_process(
     assert os.waitpid(child, 0)[1] == 0
 
 
-WINDOW = st.tuples(*(st.integers(low, low + 12) for low in (-8, -8, -2, -2))).filter(
-    lambda window: window[0] <= window[2] and window[1] <= window[3]
-)
-KINDS = {
-    "scan lines": {"type": OpenEXR.scanlineimage},
-    "tiles": {"type": OpenEXR.tiledimage, "tiles": OpenEXR.TileDescription()},
-}
-LOSSLESS = ("NO", "RLE", "ZIPS", "ZIP", "PIZ")
-
-
-def exr_header(data: tuple[int, ...], display: tuple[int, ...], kind: str, packing: str) -> dict:
-    windows = {"dataWindow": (data[:2], data[2:]), "displayWindow": (display[:2], display[2:])}
-    return KINDS[kind] | windows | {"compression": getattr(OpenEXR, f"{packing}_COMPRESSION")}
-
-
-def canvas(window: tuple[int, ...]) -> np.ndarray:
-    """An image of a window; the value of a pixel depends on its place alone, and is not 0."""
-    y, x = np.mgrid[window[1] : window[3] + 1, window[0] : window[2] + 1]
-    return (1000 + 32 * y + x).astype(np.float32)
-
-
-@pytest.mark.parametrize("cases", CASES)
-def test_any_two_windows_give_the_image_of_the_display_window(cases, tmp_path):
-    path = tmp_path / "image.exr"
-
-    def check(example: tuple[Any, ...]) -> None:
-        data, display, kind, packing = example
-        header = exr_header(data, display, kind, packing)
-        OpenEXR.File(header, {"Z": canvas(data)}).write(str(path))
-        y, x = np.mgrid[display[1] : display[3] + 1, display[0] : display[2] + 1]
-        has_data = (data[0] <= x) & (x <= data[2]) & (data[1] <= y) & (y <= data[3])
-        if not has_data.any():
-            with pytest.raises(SourceError, match="no pixel of its image"):
-                read_exr_image(path, Channels((("Z",),)))
-            return
-        image = read_exr_image(path, Channels((("Z",),)), fill=-1)
-        np.testing.assert_array_equal(image.pixels[..., 0], np.where(has_data, canvas(display), -1))
-        np.testing.assert_array_equal(image.empty[..., 0], ~has_data)
-        assert image.cut == canvas(data).size - has_data.sum()
-
-    kinds, packings = st.sampled_from(sorted(KINDS)), st.sampled_from(LOSSLESS)
-    fuzz(cases, st.tuples(WINDOW, WINDOW, kinds, packings), check)
-
-
 PARTS = st.lists(
     st.tuples(st.text("abcXYZ._ 0", min_size=1, max_size=6), WINDOW),
     min_size=2,
@@ -186,9 +143,7 @@ def test_a_part_of_a_damaged_file_is_itself_or_an_error(cases, tmp_path):
     def check(example: tuple[Any, ...]) -> None:
         parts, kind, changes = example
         made = [
-            OpenEXR.Part(
-                exr_header(data, display, kind, "ZIP"), {"Z": canvas(data) + 4096 * index}, name
-            )
+            OpenEXR.Part(header(data, display, kind), {"Z": canvas(data) + 4096 * index}, name)
             for index, (name, data) in enumerate(parts)
         ]
         OpenEXR.File(made).write(str(path))
