@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import gc
+import itertools
 import os
 from pathlib import Path
 
@@ -22,6 +23,9 @@ for library in wheel_files():
     os.environ.setdefault("DRJIT_LIBLLVM_PATH", str(library))
 
 
+CACHES = itertools.count()
+
+
 def pytest_collection_finish() -> None:
     """Modules and tests live to the end: no garbage collection walks through them again."""
     gc.collect()
@@ -36,9 +40,17 @@ def pytest_runtest_setup(item: pytest.Item) -> None:
 
 
 @pytest.fixture(autouse=True)
-def _own_cache(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+def _own_cache(
+    request: pytest.FixtureRequest,
+    tmp_path_factory: pytest.TempPathFactory,
+    monkeypatch: pytest.MonkeyPatch,
+):
     """Tests do not touch the user's cache; plugin files are unloaded after each test."""
-    monkeypatch.setenv("RLBENCH_CACHE", str(tmp_path / "cache"))
+    if "tmp_path" in request.fixturenames:
+        folder = request.getfixturevalue("tmp_path")
+    else:  # not made before something writes there: making a folder per test takes seconds
+        folder = tmp_path_factory.getbasetemp() / "caches" / str(next(CACHES))
+    monkeypatch.setenv("RLBENCH_CACHE", str(folder / "cache"))
     monkeypatch.setattr(paths, "_synchronize", lambda path: None)  # it takes 10 ms per file
     torch.set_num_threads(1)
     yield

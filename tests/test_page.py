@@ -212,16 +212,21 @@ def test_the_samples_after_a_pilot_include_it():
     assert int(result.samples.counts.sum()) == 297
 
 
-@pytest.mark.parametrize("pilot", [-1.0, float("nan")])
-def test_a_negative_pilot_is_an_error(pilot):
-    with pytest.raises(ValueError, match="must be 0 or more"):
-        Traits(pilot_spp=pilot)
+PASSES = ((), (0.5,), (0.5, 0.5, 1.0), (1.0, 0.5), (0.0, 1.0), (2.0,))
 
 
-@pytest.mark.parametrize("passes", [(), (0.5,), (0.5, 0.5, 1.0), (1.0, 0.5), (0.0, 1.0), (2.0,)])
-def test_passes_that_do_not_increase_to_the_whole_budget_are_an_error(passes):
-    with pytest.raises(ValueError, match="must increase from above 0 to exactly 1.0"):
-        Traits(passes=passes)
+@pytest.mark.parametrize(
+    ("name", "value", "message"),
+    [
+        *(("pilot_spp", pilot, "must be 0 or more") for pilot in (-1.0, float("nan"))),
+        *(("passes", each, "must increase from above 0 to exactly 1.0") for each in PASSES),
+    ],
+)
+def test_a_negative_pilot_or_passes_that_do_not_end_at_the_budget_are_an_error(
+    name, value, message
+):
+    with pytest.raises(ValueError, match=message):
+        Traits(**{name: value})
 
 
 def test_reading_an_undeclared_buffer_in_plan_is_an_error():
@@ -265,11 +270,7 @@ def biases(discard_pilot: bool) -> torch.Tensor:
     return torch.cat([bias(result.image, result.frame.reference.mean) for result in results])
 
 
-def test_averaging_the_pilot_that_chose_the_samples_loses_light():
-    percent = biases(discard_pilot=False)
-    assert float(percent.mean()) < -4 * float(percent.std()) / len(percent) ** 0.5
-
-
-def test_discarding_the_pilot_removes_the_bias():
-    percent = biases(discard_pilot=True)
-    assert abs(float(percent.mean())) < 4 * float(percent.std()) / len(percent) ** 0.5
+def test_averaging_the_pilot_that_chose_the_samples_loses_light_and_discarding_it_does_not():
+    averaged, discarded = biases(discard_pilot=False), biases(discard_pilot=True)
+    assert float(averaged.mean()) < -4 * float(averaged.std()) / len(averaged) ** 0.5
+    assert abs(float(discarded.mean())) < 4 * float(discarded.std()) / len(discarded) ** 0.5

@@ -7,7 +7,7 @@ from fractions import Fraction
 
 import pytest
 import torch
-from hypothesis import assume, given, settings
+from hypothesis import assume, example, given, settings
 from hypothesis import strategies as st
 from torch import Tensor
 
@@ -61,18 +61,12 @@ def problems(draw):
 
 @settings(deadline=None)
 @given(problems())
-def test_the_sum_is_exact(problem):
+@example(([0.0, 1.0, 2.0**65], 4, [0, 1, 0], 2))  # a contrast beyond the search's doublings
+def test_the_sum_is_exact_and_counts_are_within_the_limits(problem):
     density, total, low, high = problem
-    assert sum(allocate_row(density, total, low, high)) == total
-
-
-@settings(deadline=None)
-@given(problems())
-def test_counts_are_within_the_limits(problem):
-    density, total, low, high = problem
-    assert all(
-        a <= n <= high for a, n in zip(low, allocate_row(density, total, low, high), strict=True)
-    )
+    counts = allocate_row(density, total, low, high)
+    assert sum(counts) == total
+    assert all(a <= n <= high for a, n in zip(low, counts, strict=True))
 
 
 @settings(deadline=None)
@@ -166,33 +160,21 @@ def test_the_mean_of_counts_over_seeds_is_the_exact_share(density, total, high):
 # Known answers
 
 
-def test_a_density_of_feasible_counts_gives_these_counts():
-    assert allocate_row([0, 1, 2, 3], total=6) == [0, 1, 2, 3]
+KNOWN = {
+    "feasible counts are themselves": ([0, 1, 2, 3], 6, {}, [0, 1, 2, 3]),
+    "others take what is above the maximum": ([100, 1, 1, 2], 8, {"high": 4}, [4, 1, 1, 2]),
+    "pixels of no density take it too": ([1, 1, 0, 0], 6, {"high": 2}, [2, 2, 1, 1]),
+    "others pay for the minimum": ([0, 0, 1, 1], 6, {"low": [1] * 4}, [1, 1, 2, 2]),
+    "a full budget fills all pixels": ([0, 1, 5], 24, {}, [8, 8, 8]),
+    "a budget of zero": ([0, 1, 5], 0, {}, [0, 0, 0]),
+    **{f"uniform, {d:g}": ([d] * 6, 12, {}, [2] * 6) for d in (0.0, 1.0, 1e-30, 1e30)},
+}
 
 
-def test_samples_above_the_maximum_go_to_other_pixels():
-    assert allocate_row([100, 1, 1, 2], total=8, high=4) == [4, 1, 1, 2]
-
-
-def test_zero_density_pixels_take_samples_that_full_pixels_cannot():
-    assert allocate_row([1, 1, 0, 0], total=6, high=2) == [2, 2, 1, 1]
-
-
-def test_the_minimum_is_taken_from_the_share_of_other_pixels():
-    assert allocate_row([0, 0, 1, 1], total=6, low=[1, 1, 1, 1]) == [1, 1, 2, 2]
-
-
-@pytest.mark.parametrize("value", [0.0, 1.0, 1e-30, 1e30])
-def test_a_constant_or_zero_density_is_uniform(value):
-    assert allocate_row([value] * 6, total=12) == [2] * 6
-
-
-def test_a_full_budget_fills_all_pixels():
-    assert allocate_row([0, 1, 5], total=24) == [8, 8, 8]
-
-
-def test_a_budget_of_zero_gives_zero_counts():
-    assert allocate_row([0, 1, 5], total=0) == [0, 0, 0]
+@pytest.mark.parametrize("case", KNOWN)
+def test_counts_have_known_answers(case):
+    density, total, limits, expected = KNOWN[case]
+    assert allocate_row(density, total, **limits) == expected
 
 
 @pytest.mark.parametrize("value", [math.nan, math.inf, -1.0])

@@ -58,27 +58,21 @@ def test_loaded_weights_are_the_saved_ones_rounded_to_float16(path):
     for mine, theirs in zip(loaded.parameters(), net().parameters(), strict=True):
         assert torch.equal(mine, theirs.half().float())
         assert mine.dtype == torch.float32
+    assert safetensors.torch.load_file(path)["enc_conv0.weight"].dtype == torch.float16
 
 
-def test_the_card_is_read_back_as_it_was_written(path):
-    written = save(net(), path, CARD)
-    assert load_into(net(), path) == written
-    assert written.data == CARD.data
-    assert written.validation_history == CARD.validation_history
-
-
-def test_the_card_states_hash_type_and_size_of_the_weights(path):
-    card = save(net(), path, CARD)
+def test_the_card_is_plain_toml_that_states_hash_type_and_size_of_the_weights(path):
+    card = save(net(), path, replace(CARD, seed=0, seconds=0.0))
+    assert sorted(p.name for p in path.parent.iterdir()) == ["oidn.safetensors", "oidn.toml"]
+    assert load_into(net(), path) == card
+    assert save(net(), path, replace(CARD, seed=0, seconds=0.0)) == card  # equal files
+    assert (card.data, card.validation_history) == (CARD.data, CARD.validation_history)
     assert card.sha256 == digest(path) == hashlib.sha256(path.read_bytes()).hexdigest()
     assert card.dtype == "float16"
     assert card.parameters == sum(p.numel() for p in net().parameters())
-
-
-def test_the_card_is_plain_toml_beside_the_weights(path):
-    save(net(), path, CARD)
     document = tomllib.loads(card_path(path).read_text())
-    assert (document["name"], document["seed"], document["seconds"]) == ("oidn", 3, 12.5)
-    assert card_path(path) == path.parent / "oidn.toml"
+    assert document.keys() == asdict(CARD).keys()
+    assert (document["name"], document["seed"], document["seconds"]) == ("oidn", 0, 0.0)
 
 
 def test_the_card_of_published_weights_has_no_fields_of_a_training(path):
@@ -86,11 +80,6 @@ def test_the_card_of_published_weights_has_no_fields_of_a_training(path):
     document = tomllib.loads(card_path(path).read_text())
     assert list(document) == ["name", "origin", "note", "licence", "sha256", "dtype", "parameters"]
     assert read_card(path) == card
-
-
-def test_the_card_of_a_training_has_all_fields(path):
-    save(net(), path, replace(CARD, seed=0, seconds=0.0))
-    assert tomllib.loads(card_path(path).read_text()).keys() == asdict(CARD).keys()
 
 
 @pytest.mark.parametrize(
@@ -110,21 +99,6 @@ def test_changed_weights_are_an_error_with_a_remedy_that_fits_their_card(path, c
         load_into(net(), path)
 
 
-def test_equal_weights_are_saved_as_equal_files(path, tmp_path):
-    first, second = (save(net(), p, CARD) for p in (path, tmp_path / "again.safetensors"))
-    assert first == second
-
-
-def test_saving_leaves_no_temporary_file(path):
-    save(net(), path, CARD)
-    assert sorted(p.name for p in path.parent.iterdir()) == ["oidn.safetensors", "oidn.toml"]
-
-
-def test_any_safetensors_reader_can_read_them(path):
-    save(net(), path, CARD)
-    assert safetensors.torch.load_file(path)["enc_conv0.weight"].dtype == torch.float16
-
-
 def test_integer_buffers_keep_their_type(path):
     norm = nn.BatchNorm2d(3)
     norm.num_batches_tracked.fill_(70_001)
@@ -134,11 +108,6 @@ def test_integer_buffers_keep_their_type(path):
     assert int(loaded.num_batches_tracked) == 70_001
 
 
-def test_clips_with_one_digest_together_have_their_names_on_the_card(path):
-    save(net(), path, replace(CARD, data=("temple night", "hall"), data_digest="0123abcd"))
-    assert training_clips(path) == {"temple night", "hall"}
-
-
 @pytest.mark.parametrize("suffix", [".safetensors", ".toml"])
 def test_a_missing_file_is_an_error_that_says_how_to_make_it(path, suffix):
     save(net(), path, CARD)
@@ -146,23 +115,6 @@ def test_a_missing_file_is_an_error_that_says_how_to_make_it(path, suffix):
     with pytest.raises(
         WeightsError, match=f"{suffix} is missing. Train the weights with 'rlbench train'"
     ):
-        load_into(net(), path)
-
-
-def test_a_changed_file_is_refused(path):
-    save(net(), path, CARD)
-    content = bytearray(path.read_bytes())
-    content[-1] ^= 1
-    path.write_bytes(content)
-    with pytest.raises(WeightsError, match="its card says"):
-        load_into(net(), path)
-
-
-def test_a_card_of_other_weights_is_refused(path, tmp_path):
-    save(net(), path, CARD)
-    save(net(2), tmp_path / "other.safetensors", CARD)
-    (tmp_path / "other.toml").replace(card_path(path))
-    with pytest.raises(WeightsError, match="hash"):
         load_into(net(), path)
 
 
@@ -204,6 +156,8 @@ def test_a_broken_card_is_refused(path, text, message):
 def test_training_clips_are_the_names_on_the_card(path):
     save(net(), path, replace(CARD, data=("city 0123abcd", "temple night 4567", "hall")))
     assert training_clips(path) == {"city", "temple night", "hall"}
+    save(net(), path, replace(CARD, data=("temple night", "hall"), data_digest="0123abcd"))
+    assert training_clips(path) == {"temple night", "hall"}  # with one digest together
 
 
 @pytest.mark.parametrize("suffix", [".safetensors", ".toml"])

@@ -46,18 +46,23 @@ from tests.conftest import write_noise
 QUICK, THOROUGH = 200, 2000  # changed records of each kind
 
 
+def fuzz(count: int, strategy: st.SearchStrategy[Any], property_: Callable[[Any], None]) -> None:
+    """Check a property on so many examples; none may take longer than two seconds."""
+    checks = [HealthCheck.too_slow, HealthCheck.data_too_large, HealthCheck.function_scoped_fixture]
+    limits = settings(
+        max_examples=count,
+        deadline=2000,
+        derandomize=count < THOROUGH,
+        suppress_health_check=checks,
+    )
+    limits(given(strategy)(property_))()
+
+
 def examples(property_: Callable[[Any], None], strategy: st.SearchStrategy[Any]) -> Any:
     """A test of a property on many examples, and one on ten times as many for `make test-all`."""
 
     def check(count: int) -> None:
-        checks = [HealthCheck.too_slow, HealthCheck.data_too_large]
-        limits = settings(
-            max_examples=count,
-            deadline=2000,
-            derandomize=count == QUICK,
-            suppress_health_check=checks,
-        )
-        limits(given(strategy)(property_))()
+        fuzz(count, strategy, property_)
 
     counts = [QUICK, pytest.param(THOROUGH, marks=pytest.mark.slow)]
     return pytest.mark.parametrize("count", counts)(check)

@@ -32,8 +32,9 @@ def _edit(folder: Path, old: str, new: str) -> None:
 def test_a_header_comes_back(tmp_path):
     header = replace(HEADER, licence='CC0 "1.0"\n\\ ü 🙂', sample_ms=12.5, static=True, fps=1e-5)
     header = replace(header, light_changes=(1,))
-    write_header(tmp_path, header)
-    assert read_header(tmp_path) == header
+    for each in (header, replace(HEADER, sample_ms=2.0, cuts=(1,))):
+        write_header(tmp_path, each)
+        assert read_header(tmp_path) == each
 
 
 @settings(deadline=None)
@@ -42,11 +43,6 @@ def test_any_text_survives_in_toml(text, tmp_path_factory):
     folder = tmp_path_factory.mktemp("toml")
     write_header(folder, replace(HEADER, licence=text))
     assert tomllib.loads((folder / "clip.toml").read_text("utf-8"))["licence"] == text
-
-
-def test_cuts_come_back(tmp_path):
-    write_header(tmp_path, replace(HEADER, cuts=(1,)))
-    assert read_header(tmp_path).cuts == (1,)
 
 
 @pytest.mark.parametrize("files", [(), ("models/chair.obj", "wood.png")])

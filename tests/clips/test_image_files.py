@@ -8,6 +8,8 @@ from pathlib import Path
 import numpy as np
 import OpenEXR
 import pytest
+from hypothesis import example, given, settings
+from hypothesis import strategies as st
 
 from rlbench.clips import image_files
 from rlbench.clips.image_files import Channels, list_channels, read_exr, read_exr_image
@@ -49,32 +51,37 @@ def shown(data, display, fill=0.0) -> np.ndarray:
     return image
 
 
-WINDOWS = {
-    "crop": ((4, 3, 11, 7), DISPLAY),
-    "overscan": ((-2, -3, W + 1, H), DISPLAY),
-    "crop and overscan": ((-5, 4, 3, H + 4), DISPLAY),
-    "a negative origin": ((-7, -6, 2, 3), (-7, -6, 2, 3)),
-    "a display window elsewhere": ((100, 60, 107, 64), (98, 57, 111, 66)),
-    "a single pixel": ((19, 11, 30, 40), DISPLAY),
-}
-
-
-@pytest.mark.parametrize(
-    ("dtype", "compression", "kind"),
-    [(np.float16, "ZIP", "scan lines"), (np.float32, "PIZ", "tiles"), (np.float16, "PIZ", "tiles")],
+WINDOW = st.tuples(*(st.integers(low, low + 12) for low in (-8, -8, -2, -2))).filter(
+    lambda window: window[0] <= window[2] and window[1] <= window[3]
 )
-@pytest.mark.parametrize("case", WINDOWS)
-def test_the_display_window_is_the_image(tmp_path, case, dtype, compression, kind):
-    data, display = WINDOWS[case]
-    path = write_windows(
-        tmp_path / "w.exr", data, display, dtype, kind=kind, compression=compression
-    )
-    image = read_exr_image(path, Channels(RGB), fill=-1)
+PACKINGS = st.sampled_from(("NO", "RLE", "ZIPS", "ZIP", "PIZ"))
+QUICK = settings(max_examples=100, deadline=None, derandomize=True)
+
+
+@QUICK
+@given(
+    WINDOW,
+    WINDOW,
+    st.sampled_from([np.float16, np.float32]),
+    st.sampled_from(sorted(KINDS)),
+    PACKINGS,
+)
+@example((100, 60, 107, 64), (98, 57, 111, 66), np.float16, "tiles", "PIZ")  # far from 0
+def test_the_display_window_is_the_image_and_has_a_pixel(
+    tmp_path_factory, data, display, dtype, kind, packing
+):
+    path = tmp_path_factory.getbasetemp() / "w.exr"
+    write_windows(path, data, display, dtype, kind=kind, compression=packing)
     expected = shown(data, display, -1).astype(dtype)
+    is_empty = expected[..., 0] == -1
+    if is_empty.all():
+        with pytest.raises(SourceError, match=r"w\.exr has no pixel of its image"):
+            read_exr(path, RGB)
+        return
+    image = read_exr_image(path, Channels(RGB), fill=-1)
     np.testing.assert_array_equal(image.pixels, expected)
-    np.testing.assert_array_equal(image.empty[..., 0], expected[..., 0] == -1)
-    stored = (data[2] - data[0] + 1) * (data[3] - data[1] + 1)
-    assert image.cut == stored - (expected[..., 0] != -1).sum()
+    np.testing.assert_array_equal(image.empty[..., 0], is_empty)
+    assert image.cut == canvas(data).size - (~is_empty).sum()
 
 
 @pytest.mark.parametrize("order", [OpenEXR.INCREASING_Y, OpenEXR.DECREASING_Y])
@@ -85,13 +92,6 @@ def test_the_order_of_scan_lines_does_not_matter(tmp_path, order):
     np.testing.assert_array_equal(
         read_exr(tmp_path / "o.exr", RGB), shown((2, 1, 9, 30), DISPLAY).astype(np.float32)
     )
-
-
-@pytest.mark.parametrize("data", [(W, 0, W + 3, 3), (-4, 0, -1, 3), (0, -9, 3, -1), (0, H, 3, 99)])
-def test_data_outside_the_display_window_are_an_error(tmp_path, data):
-    path = write_windows(tmp_path / "w.exr", data, DISPLAY)
-    with pytest.raises(SourceError, match=r"w\.exr has no pixel of its image"):
-        read_exr(path, RGB)
 
 
 def test_a_huge_display_window_is_refused_before_it_is_filled(tmp_path):

@@ -272,20 +272,18 @@ def test_a_mistyped_folder_is_reported_with_the_clips_beside_it(folder):
         open_clip(folder.with_name("stret"))
 
 
-def test_a_missing_buffer_names_those_that_exist(tmp_path):
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"inputs": frozenset({"albedo", "normal"})}, "no buffer normal; it has: albedo, depth"),
+        ({"pool": "restir"}, "no pool 'restir'; it has: path"),
+        ({"max_samples": 0}, "max_samples is 0 .* must be at least 1"),
+    ],
+)
+def test_what_a_clip_does_not_have_is_answered_with_what_it_has(tmp_path, options, message):
     write_clip(tmp_path, replace(HEADER, buffers=("albedo", "depth")))
-    with pytest.raises(ClipError, match="no buffer normal; it has: albedo, depth"):
-        open_clip(tmp_path, inputs=frozenset({"albedo", "normal"}))
-
-
-def test_a_missing_pool_names_those_that_exist(folder):
-    with pytest.raises(ClipError, match="no pool 'restir'; it has: path"):
-        open_clip(folder, pool="restir")
-
-
-def test_max_samples_below_1_is_an_error(folder):
-    with pytest.raises(ClipError, match="max_samples is 0 .* must be at least 1"):
-        open_clip(folder, max_samples=0)
+    with pytest.raises(ClipError, match=message):
+        open_clip(tmp_path, **{"inputs": frozenset()} | options)
 
 
 def test_a_broken_buffer_that_is_not_read_is_ignored(folder):
@@ -320,20 +318,6 @@ def test_a_depth_that_would_come_back_as_background_is_not_written(tmp_path):
         write_frame(tmp_path, 3, gbuffer, {"path": images["pool"]}, images["a"], images["b"])
 
 
-def _interrupted(path: Path) -> None:
-    with paths.atomic_write(path) as temporary:
-        temporary.write_text("half of the n")
-        raise KeyboardInterrupt
-
-
-def test_an_interrupted_write_leaves_the_old_file(tmp_path):
-    path = tmp_path / "file"
-    path.write_text("old")
-    with pytest.raises(KeyboardInterrupt):
-        _interrupted(path)
-    assert [p.read_text() for p in tmp_path.iterdir()] == ["old"]
-
-
 # Folders that a user names
 
 
@@ -343,21 +327,18 @@ def test_clips_of_several_folders_are_found_in_order(tmp_path):
     assert find_all_clips([tmp_path / "a", tmp_path / "cellar"]) == clips
 
 
-def test_a_folder_with_clips_further_down_names_the_folders_that_hold_them(tmp_path):
+@pytest.mark.parametrize(
+    ("name", "message"),
+    [
+        ("clips", r"further down.*: \S+/clips/falcor, \S+/clips/unreal$"),
+        ("none", "no clip in .*; a clip is a folder that contains clip.toml"),
+        ("a.exr", "a.exr is a file. Name a folder"),
+    ],
+)
+def test_a_folder_without_clips_is_answered_with_what_to_name(tmp_path, name, message):
     for renderer in ("falcor", "unreal"):
         write_noise(tmp_path / "clips" / renderer / "attic")
-    with pytest.raises(ClipError, match=r"further down.*: \S+/clips/falcor, \S+/clips/unreal$"):
-        find_all_clips([tmp_path / "clips"])
-
-
-def test_a_folder_without_anything_says_what_a_clip_is(tmp_path):
-    with pytest.raises(
-        ClipError, match="no clip in .*; a clip is a folder that contains clip.toml"
-    ):
-        find_all_clips([tmp_path])
-
-
-def test_a_file_in_place_of_a_folder_is_named(tmp_path):
+    (tmp_path / "none").mkdir()
     (tmp_path / "a.exr").touch()
-    with pytest.raises(ClipError, match="a.exr is a file. Name a folder"):
-        find_all_clips([tmp_path / "a.exr"])
+    with pytest.raises(ClipError, match=message):
+        find_all_clips([tmp_path / name])

@@ -31,26 +31,17 @@ def random_inputs(n: int, h: int, w: int) -> tuple[Tensor, Tensor, Tensor, Tenso
 
 @pytest.mark.parametrize(("side", "dilation"), WINDOWS)
 @pytest.mark.parametrize(("h", "w"), SIZES)
-def test_the_sum_equals_unfolding(h: int, w: int, side: int, dilation: int) -> None:
-    features, sharpness, _, source = (part.double() for part in random_inputs(2, h, w))
-    expected = unfolded_affinity.affinity_sum(features, sharpness, source, side, dilation)
-    total_sum = affinity_sum(features, sharpness, source, side, dilation)
-    torch.testing.assert_close(total_sum, expected, rtol=1e-12, atol=1e-12)  # doubles, 121 taps
-
-
-@pytest.mark.parametrize(("side", "dilation"), WINDOWS)
-@pytest.mark.parametrize(("h", "w"), SIZES)
-def test_the_sum_over_another_image_equals_unfolding(
+def test_sums_over_an_image_and_another_equal_unfolding(
     h: int, w: int, side: int, dilation: int
 ) -> None:
-    features, sharpness, source_features, source = (
-        part.double() for part in random_inputs(2, h, w)
-    )
-    expected = unfolded_affinity.cross_affinity_sum(
-        features, sharpness, source_features, source, side, dilation
-    )
-    total_sum = cross_affinity_sum(features, sharpness, source_features, source, side, dilation)
-    torch.testing.assert_close(total_sum, expected, rtol=1e-12, atol=1e-12)  # doubles, 121 taps
+    features, sharpness, others, source = (part.double() for part in random_inputs(2, h, w))
+    window = {"side": side, "dilation": dilation}
+    own = (features, sharpness, source)
+    both = (features, sharpness, others, source)
+    for name, parts in (("affinity_sum", own), ("cross_affinity_sum", both)):
+        expected = getattr(unfolded_affinity, name)(*parts, **window)
+        total = getattr(affinity, name)(*parts, **window)
+        torch.testing.assert_close(total, expected, rtol=1e-12, atol=1e-12)  # doubles, 121 taps
 
 
 @pytest.mark.parametrize("strip", [1, 7, 50])
@@ -105,18 +96,11 @@ def test_features_of_any_size_give_finite_sums_and_gradients(scale: float) -> No
 
 @pytest.mark.parametrize("dilation", [1, 2])
 def test_gradients_agree_with_finite_differences(dilation: int) -> None:
-    features, sharpness, _, source = (
-        part.double().requires_grad_() for part in random_inputs(2, 3, 5)
-    )
-    window = partial(affinity_sum, side=3, dilation=dilation)
-    assert torch.autograd.gradcheck(window, (features, sharpness, source))
-
-
-@pytest.mark.parametrize("dilation", [1, 2])
-def test_gradients_over_another_image_agree_with_finite_differences(dilation: int) -> None:
     parts = tuple(part.double().requires_grad_() for part in random_inputs(2, 3, 5))
-    window = partial(cross_affinity_sum, side=3, dilation=dilation)
-    assert torch.autograd.gradcheck(window, parts)
+    features, sharpness, _, source = parts
+    own = partial(affinity_sum, side=3, dilation=dilation)
+    assert torch.autograd.gradcheck(own, (features, sharpness, source))
+    assert torch.autograd.gradcheck(partial(cross_affinity_sum, side=3, dilation=dilation), parts)
 
 
 @pytest.mark.parametrize("side", [5, 11])

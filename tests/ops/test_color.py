@@ -41,12 +41,6 @@ def test_decoding_inverts_encoding_also_outside_the_unit_interval(dtype):
     torch.testing.assert_close(inverse, linear, rtol=tolerance, atol=1e-9)
 
 
-def test_encoding_inverts_decoding():
-    display = torch.linspace(-0.5, 3, 2001, dtype=torch.float64)
-    inverse = encode_srgb(decode_srgb(display))
-    torch.testing.assert_close(inverse, display, rtol=1e-12, atol=1e-12)
-
-
 @pytest.mark.parametrize(
     ("linear", "display"),
     [(0.0, 0.0), (1.0, 1.0), (0.18, 0.461356), (0.214041, 0.5)],
@@ -89,11 +83,6 @@ def test_values_above_one_are_not_clipped(value):
 
 
 @pytest.mark.parametrize("curve", [encode_srgb, decode_srgb])
-def test_the_curve_increases_everywhere(curve):
-    assert (curve(torch.linspace(-1, 3, 4001, dtype=torch.float64)).diff() > 0).all()
-
-
-@pytest.mark.parametrize("curve", [encode_srgb, decode_srgb])
 def test_gradients_are_finite_and_positive(curve):
     x = torch.tensor([-1.0, 0.0, 1e-6, SRGB_KNEE, 0.5, 1.0, 10.0], requires_grad=True)
     curve(x).sum().backward()
@@ -108,12 +97,6 @@ def test_luminance_equals_a_loop(weights, shape):
     for channel, weight in enumerate(weights):
         expected[..., 0, :, :] += weight * radiance[..., channel, :, :]
     torch.testing.assert_close(luminance(radiance, weights), expected)
-
-
-@pytest.mark.parametrize("weights", [REC709_LUMINANCE, OIDN_LUMINANCE])
-def test_luminance_of_grey_is_its_value(weights):
-    grey = torch.full((1, 3, 2, 2), 0.7, dtype=torch.float64)
-    torch.testing.assert_close(luminance(grey, weights), grey[:, :1])  # the weights sum to one
 
 
 def test_luminance_uses_the_six_digit_weights_by_default():

@@ -1,4 +1,4 @@
-"""Speed of our U-Net against Intel's library with the same weights: pytest --benchmark-only."""
+"""The ratios of docs/concepts/open-image-denoise.md, as its Speed section says."""
 
 from __future__ import annotations
 
@@ -7,10 +7,12 @@ from pathlib import Path
 
 import pytest
 import torch
+from torch.nn import functional as F
 
 from baselines.oidn import method, tza
 from rlbench.clips.procedural.clip import procedural_clip
 from rlbench.frames import Size
+from rlbench.ops.upsample import UpsampleConcatConv
 from rlbench.run import run_clip
 
 WEIGHTS = Path(tza.__file__).parent / "cards" / "oidn.safetensors"
@@ -40,3 +42,29 @@ def test_oidn(benchmark, name):
         image = benchmark.pedantic(runs[name], rounds=5, warmup_rounds=1)
     # 720 is a multiple of 16, so both treat borders alike
     torch.testing.assert_close(image, result.image[0], rtol=1e-3, atol=1e-4)
+
+
+@pytest.mark.parametrize("name", ["rlbench", "torch"])
+@pytest.mark.benchmark(group="upsample, concatenate, convolve, 64 + 41 -> 64 x192x192")
+def test_upsample_concat_conv(benchmark, name):
+    """The widest layer of the U-Net in `ours`, against the three steps in torch."""
+    generator = torch.Generator().manual_seed(0)
+    coarse, skip = (
+        torch.randn(1, c, side, side, generator=generator).to(memory_format=torch.channels_last)
+        for c, side in ((64, 96), (41, 192))
+    )
+    layer = (
+        UpsampleConcatConv(64, 41, 64).to(memory_format=torch.channels_last).requires_grad_(False)
+    )
+
+    def three_steps() -> torch.Tensor:
+        upsampled = F.interpolate(coarse, scale_factor=2.0, mode="nearest")
+        return F.conv2d(torch.cat((upsampled, skip), 1), layer.weight, layer.bias, padding=1)
+
+    runs: dict[str, Callable[[], torch.Tensor]] = {
+        "rlbench": lambda: layer(coarse, skip),
+        "torch": three_steps,
+    }
+    with torch.inference_mode():
+        output = benchmark.pedantic(runs[name], rounds=20, warmup_rounds=2)
+        torch.testing.assert_close(output, three_steps(), rtol=0, atol=1e-4)  # sums of 945 products

@@ -7,6 +7,7 @@ from dataclasses import replace
 
 import pytest
 
+from reports.layout import style
 from rlbench.benchmark.results import Row, to_dataframe
 
 SCENES = {"city": 0.0, "temple": -2.0, "hall": -4.0, "ripples": 1.5}  # dB
@@ -88,3 +89,9 @@ def results():
 def published_results():
     """Every method is one of the paper's table."""
     return to_dataframe(as_published(rows()))
+
+
+@pytest.fixture(autouse=True)
+def _whole_fonts(monkeypatch):
+    """Fonts in PDF files as outlines: their subsets take most of the time of a figure."""
+    monkeypatch.setitem(style.RC, "pdf.fonttype", 3)

@@ -23,7 +23,7 @@ from tests.reports.formula_results import doubt
 
 PROJECT = tomllib.loads((Path(__file__).parents[2] / "pyproject.toml").read_text())["project"]
 REPORTS = PROJECT["entry-points"]["rlbench.reports"]
-PAGE, FIGURE = ("md", "csv", "tex"), ("png", "pdf", "svg")
+PAGE, FIGURE = ("md", "csv", "tex"), ("png", "pdf", "svg")  # suffixes
 FILES = {name: [f"{name}.{suffix}" for suffix in PAGE] for name in REPORTS} | {
     name: [f"{name}.{suffix}" for suffix in (*FIGURE, "csv")]
     for name in ("pareto", "winners", "frame-time")
@@ -71,45 +71,35 @@ def everything():
 
 
 @pytest.mark.parametrize("name", REPORTS)
-def test_a_report_writes_the_files_that_it_names(name, everything, tmp_path):
-    files = writer(name)(everything, tmp_path)
-    assert sorted(file.name for file in files) == sorted(FILES[name])
+def test_a_report_writes_the_files_that_it_names_with_a_section_or_figures_of_each_device(
+    name, everything, tmp_path
+):
+    # one scene is enough for the other device
+    is_other = (everything["scene"] == "hall") & (everything["metric"] != "sample_ms")
+    device = everything["device"].mask(is_other, "H100")
+    split = everything.assign(device=device.mask(everything["metric"] == "sample_ms", ""))
+    if name == "variance":  # one scene has none
+        with pytest.raises(MissingRowsError):
+            writer(name)(everything[everything["scene"] == "city"], tmp_path)
+        split = pd.concat([everything, everything.assign(device="H100")])
+    files = writer(name)(split, tmp_path)
     assert sorted(tmp_path.iterdir()) == sorted(files)
+    names = [re.sub("-(h100|nvidia-rtx-2080-ti)[.]", ".", file.name) for file in files]
+    is_page = files[0].suffix == ".md"
+    assert sorted(names) == sorted(
+        file for file in FILES[name] for _ in range(1 if is_page and file.endswith(PAGE) else 2)
+    )
     for file in files:
         assert file.stat().st_size > 100
         if file.suffix == ".csv":
             assert len(pd.read_csv(file))
         if file.suffix == ".md":
             page = file.read_text()
-            assert "## NVIDIA RTX 2080 Ti" in page
+            assert {"## NVIDIA RTX 2080 Ti", "## H100"} <= set(page.splitlines())
             assert page.count("### ") > 0
             assert "Runs: r1" in page
         if file.suffix == ".tex":
             assert r"\toprule" in file.read_text()
-
-
-def test_one_scene_has_no_variance(everything, tmp_path):
-    with pytest.raises(MissingRowsError):
-        writer("variance")(everything[everything["scene"] == "city"], tmp_path)
-
-
-@pytest.mark.parametrize("name", REPORTS)
-def test_each_device_has_a_section_or_figures_of_its_own(name, everything, tmp_path):
-    # one scene is enough for the other device
-    is_other = (everything["scene"] == "hall") & (everything["metric"] != "sample_ms")
-    device = (
-        everything["device"].mask(is_other, "H100").mask(everything["metric"] == "sample_ms", "")
-    )
-    split = everything.assign(device=device)
-    if name == "variance":
-        split = pd.concat([everything, everything.assign(device="H100")])
-    files = writer(name)(split, tmp_path)
-    pages = [file.read_text() for file in files if file.suffix == ".md"]
-    for page in pages:
-        assert "## H100\n" in page
-        assert "## NVIDIA RTX 2080 Ti\n" in page
-    if not pages:
-        assert any(file.name.endswith("-h100.png") for file in files)
 
 
 @pytest.mark.parametrize("name", REPORTS)
@@ -134,7 +124,7 @@ def test_results_without_the_rows_of_a_report_say_what_to_run(name, tmp_path):
 
 @pytest.mark.parametrize("name", ["summary", "pareto"])
 def test_equal_results_give_equal_files(name, results, tmp_path):
-    some = results[results["target_spp"].isin([1, 4])]
+    some = results[results["target_spp"].isin([1, 4]) & results["scene"].isin(["city", "hall"])]
     first, second = (writer(name)(some, tmp_path / folder) for folder in "ab")
     assert [file.read_bytes() for file in first] == [file.read_bytes() for file in second]
 

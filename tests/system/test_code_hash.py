@@ -41,16 +41,17 @@ def test_every_change_to_the_files_of_a_package_changes_its_hash(plugin, change)
 
 
 @pytest.mark.parametrize(
-    "same",
+    ("file", "same"),
     [
-        '"""What it is."""\nWIDTH = 8\n',
-        "# narrower was worse\nWIDTH = 8  # channels\n",
-        "\n\nWIDTH = (\n    8\n)\n",
+        ("net.py", '"""What it is."""\nWIDTH = 8\n'),
+        ("net.py", "# narrower was worse\nWIDTH = 8  # channels\n"),
+        ("net.py", "\n\nWIDTH = (\n    8\n)\n"),
+        ("notes.md", "hello"),
     ],
 )
-def test_comments_docstrings_and_layout_do_not_change_the_hash(plugin, same):
+def test_comments_docstrings_layout_and_other_files_do_not_change_the_hash(plugin, file, same):
     before = code_hash(["stranger"])
-    (plugin / "net.py").write_text(same)
+    (plugin / file).write_text(same)
     assert code_hash(["stranger"]) == before
 
 
@@ -60,12 +61,6 @@ def test_a_string_that_is_no_docstring_changes_the_hash(plugin):
         net.write_text(f"def act():\n    'What it is.'\n    return '{name}'\n")
         hashes.add(code_hash(["stranger"]))
     assert len(hashes) == 2
-
-
-def test_files_other_than_python_do_not_change_the_hash(plugin):
-    before = code_hash(["stranger"])
-    (plugin / "notes.md").write_text("hello")
-    assert code_hash(["stranger"]) == before
 
 
 def test_a_module_counts_with_its_own_file_only(plugin):
@@ -97,22 +92,42 @@ def test_a_module_imported_from_a_file_is_hashed_by_that_file(tmp_path, monkeypa
     assert code_hash(["loose"]) != code_hash([])
 
 
-@pytest.mark.parametrize(
-    "line",
-    [
-        "from stranger.net import WIDTH",
-        "from stranger import net",
-        "import stranger.net",
-        "from .net import WIDTH",
-        "from . import net",
-        "def later():\n    from stranger.net import WIDTH",
-    ],
-)
-def test_imports_from_the_own_package_are_followed_in_every_form(plugin, line):
-    (plugin / "method.py").write_text(f"import os\nimport torch\n{line}\n")
-    (plugin / "unused.py").write_text("")
+METHOD, NET, INIT = "stranger.method", "stranger.net", "stranger.__init__"
+LAZY = "def __getattr__(name): ...\nif TYPE_CHECKING:\n    from .net import WIDTH"
+FORMS = {  # the import of a method, the init file of its package, and what counts with the method
+    **{
+        line: (f"import os\nimport torch\n{line}", "", {NET})
+        for line in (
+            "from stranger.net import WIDTH",
+            "from stranger import net",
+            "import stranger.net",
+            "from .net import WIDTH",
+            "from . import net",
+            "def later():\n    from stranger.net import WIDTH",
+        )
+    },
+    **{
+        init: ("from stranger import WIDTH", init, {NET})
+        for init in (
+            "from stranger.net import WIDTH\nfrom stranger.loss import L1",
+            "from .net import WIDTH\nfrom .loss import L1",
+            "from .net import SIZE as WIDTH\nfrom .loss import L1",
+            LAZY,
+        )
+    },
+    "import stranger": ("import stranger", "from .net import WIDTH", {NET, INIT}),
+    "from stranger import *": ("from stranger import *", "from .net import WIDTH", {NET, INIT}),
+}
+
+
+@pytest.mark.parametrize("form", FORMS)
+def test_imports_from_the_own_package_are_followed_in_every_form(plugin, form):
+    line, init, expected = FORMS[form]
+    (plugin / "__init__.py").write_text(f"{init}\n")
+    (plugin / "method.py").write_text(f"{line}\n")
+    (plugin / "loss.py").write_text("L1 = 1\n")
     importlib.invalidate_caches()
-    assert import_closure("stranger.method") == {"stranger.method", "stranger.net"}
+    assert import_closure(METHOD) == {METHOD} | expected
 
 
 def test_indirect_imports_are_followed_and_a_cycle_ends(plugin):
@@ -162,23 +177,6 @@ def test_a_module_that_is_not_installed_is_an_error():
         code_hash(["no_such_plugin"])
 
 
-@pytest.mark.parametrize(
-    "init",
-    [
-        "from stranger.net import WIDTH\nfrom stranger.loss import L1",
-        "from .net import WIDTH\nfrom .loss import L1",
-        "from .net import SIZE as WIDTH\nfrom .loss import L1",
-        "def __getattr__(name): ...\nif TYPE_CHECKING:\n    from .net import WIDTH",
-    ],
-)
-def test_a_reexported_name_counts_with_the_module_that_defines_it(plugin, init):
-    (plugin / "__init__.py").write_text(f"{init}\n")
-    (plugin / "loss.py").write_text("L1 = 1\n")
-    (plugin / "method.py").write_text("from stranger import WIDTH\n")
-    importlib.invalidate_caches()
-    assert import_closure("stranger.method") == {"stranger.method", "stranger.net"}
-
-
 def test_a_lazy_name_is_followed_through_the_stub_of_its_package(plugin):
     (plugin / "__init__.py").write_text("__getattr__ = attach_stub(__name__, __file__)\n")
     (plugin / "__init__.pyi").write_text("from .net import WIDTH as WIDTH\n")
@@ -198,16 +196,6 @@ def test_a_name_that_a_package_defines_counts_with_its_init_file(plugin):
     assert code_hash(closure) == before
     (plugin / "__init__.py").write_text("WIDTH = 9\n")
     assert code_hash(closure) != before
-
-
-@pytest.mark.parametrize("line", ["import stranger", "from stranger import *"])
-def test_a_package_imported_whole_counts_with_all_that_it_imports(plugin, line):
-    (plugin / "__init__.py").write_text("from .net import WIDTH\n")
-    (plugin / "unused.py").write_text("")
-    (plugin / "method.py").write_text(f"{line}\n")
-    importlib.invalidate_caches()
-    closure = import_closure("stranger.method")
-    assert closure == {"stranger.method", "stranger.__init__", "stranger.net"}
 
 
 @pytest.mark.parametrize("line", ["from helpers import net", "import helpers, helpers.net"])

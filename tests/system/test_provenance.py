@@ -34,23 +34,18 @@ def checkout(tmp_path):
     return tmp_path
 
 
-def test_a_clean_checkout_is_its_commit(checkout):
+def test_a_checkout_is_its_commit_with_a_plus_if_it_was_changed(checkout):
     assert commit(checkout) == _git(checkout, "rev-parse", "HEAD")[:12]
-
-
-def test_a_changed_checkout_has_a_plus(checkout):
     (checkout / "code.py").write_text("2\n")
     assert commit(checkout) == _git(checkout, "rev-parse", "HEAD")[:12] + "+"
 
 
-def test_a_package_installed_inside_another_checkout_has_no_commit(checkout):
+def test_a_package_installed_inside_another_checkout_or_in_none_has_no_commit(
+    checkout, tmp_path_factory
+):
     installed = checkout / "site-packages" / "rlbench"
     installed.mkdir(parents=True)
-    assert commit(installed) == ""
-
-
-def test_outside_a_checkout_there_is_no_commit(tmp_path):
-    assert commit(tmp_path) == ""
+    assert commit(installed) == commit(tmp_path_factory.mktemp("outside")) == ""
 
 
 def test_versions_are_those_of_the_installed_packages():

@@ -9,7 +9,6 @@ from typing import Any
 import torch
 from torch import Tensor
 from torch._subclasses.fake_tensor import FakeTensorMode
-from torch.utils._python_dispatch import TorchDispatchMode
 
 from rlbench import registry
 from rlbench.checks.conformance.method_under_test import MethodUnderTest, requirement
@@ -33,15 +32,13 @@ class HostConstantError(RuntimeError):
     """A tensor of the program's numbers: a copy from the host, which no recording repeats."""
 
 
-class _RefuseConstants(TorchDispatchMode):  # type: ignore[no-untyped-call]
-    """Raises HostConstantError where a tensor is made from numbers."""
+class _Recording(FakeTensorMode):
+    """Tensors that have a shape and no values; a tensor made from numbers is an error."""
 
-    def __torch_dispatch__(
-        self, func: Any, types: Any, args: tuple[Any, ...] = (), kwargs: Any = None
-    ) -> Any:
+    def __torch_dispatch__(self, func: Any, types: Any, args: Any = (), kwargs: Any = None) -> Any:
         if func is COPIED:
             raise HostConstantError("torch.tensor copies numbers from the host")
-        return func(*args, **(kwargs or {}))
+        return super().__torch_dispatch__(func, types, args, kwargs)  # type: ignore[no-untyped-call]
 
 
 @requirement(
@@ -64,7 +61,7 @@ def check_recordable(tested: MethodUnderTest) -> Fault | None:
 
 def _record(tested: MethodUnderTest, frame: Frame, state: State) -> None:
     """Run a frame with fake tensors. Raises what the first question raises."""
-    fake = FakeTensorMode(allow_non_fake_inputs=True)  # weights are real
+    fake = _Recording(allow_non_fake_inputs=True)  # weights are real
 
     def imitate(values: Mapping[str, Any]) -> dict[str, Any]:
         return {
@@ -78,6 +75,6 @@ def _record(tested: MethodUnderTest, frame: Frame, state: State) -> None:
         pool = StoredPool(*imitate({"radiance": stored_radiance(frame), "seeds": seeds}).values())
         given = replace(frame, gbuffer=GBuffer(buffers, frame.gbuffer.static), pool=pool)
         state = replace_leaves(state, imitate(dict(read_leaves(state))))
-        with fake, _RefuseConstants():  # type: ignore[no-untyped-call]
+        with fake:
             valid = sanitize_frame(given, tested.traits.inputs)
             run_frame(tested.method, valid, state, tested.default_spp)

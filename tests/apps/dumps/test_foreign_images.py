@@ -26,8 +26,6 @@ from rlbench.clips.stored import open_clip
 from tests.benchmark.test_runner import run_plan
 from tests.conftest import write_noise
 
-CODE_DB = 1e-9  # the same half floats are scored by the same code
-
 
 @pytest.fixture(scope="module")
 def measured(tmp_path_factory) -> Path:

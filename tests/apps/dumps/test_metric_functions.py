@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import math
 import re
 
 import numpy as np
@@ -215,14 +214,9 @@ def test_other_chromaticities_are_converted(tmp_path):
 @pytest.mark.parametrize(
     ("words", "message"),
     [
-        (("i.exr", "small.exr"), "image has 200 x 180 pixels, and reference 200 x 90"),
         (("i.exr", "absent.exr"), "there is no file .*absent.exr"),
-        (("absent.exr", "i.exr"), "there is no file .*absent.exr"),
-        (("i.exr", "hole.exr"), "reference has NaN or infinite pixels: 200 of 36000"),
-        (("nrd", "i.exr"), "nrd is none of .exr, .pfm, .png"),
         (("i.exr", "i.exr", "--spp", 1), "--spp is for folders of images. Omit it"),
         (("i.exr", "i.exr", "--metrics", "psnrr"), "Did you mean 'psnr'"),
-        (("i.exr", "i.exr", "--metrics", "tpsnr"), "tpsnr needs 2 frames in order"),
         (("nrd", "."), "--spp is needed for a folder of images.*rlbench score IMAGE REFERENCE"),
         (("nrd", ".", "--spp", 1, "--metrics", "ssim"), "--metrics is for two image files"),
         (("nrd", ".", "--spp", 1, "--json"), "--json is for two image files"),
@@ -231,8 +225,6 @@ def test_other_chromaticities_are_converted(tmp_path):
 def test_wrong_use_of_two_files_is_one_message(pair, tmp_path, words, message, monkeypatch):
     monkeypatch.chdir(tmp_path)
     write(tmp_path / "i.exr", pair[0])
-    write(tmp_path / "small.exr", pair[0][:90])
-    write(tmp_path / "hole.exr", np.where(np.indices((H, W, 3))[0] == 3, math.nan, pair[0]))
     output = " ".join(run_command("score", *words, code=2).split())
     assert re.search(message, output), output
     assert "Traceback" not in output

@@ -40,6 +40,23 @@ def _fast_again():
         select_variant("llvm_ad_rgb")
 
 
+def launches(work):
+    """The kernels that `work` launches, and what it returns."""
+    import drjit as dr
+
+    with dr.scoped_set_flag(dr.JitFlag.KernelHistory, True):
+        dr.kernel_history_clear()
+        returned = work()
+        return dr.kernel_history([dr.KernelType.JIT]), returned
+
+
+def check_no_kernel_is_compiled(work):
+    """`work` launches kernels, each of which was compiled before."""
+    kernels, _ = launches(work)
+    assert kernels
+    assert all(kernel["cache_hit"] for kernel in kernels)
+
+
 @contextmanager
 def own_cache(tmp_path_factory):
     """LLVM and a cache of its own, as in a test: for what is rendered once for a module."""

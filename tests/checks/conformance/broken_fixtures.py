@@ -295,10 +295,15 @@ def ask(image, samples):
     return image if samples.counts.max() > 0 else 0 * image
 
 
+def copy_number(image, samples):
+    return image * torch.tensor(1.0)
+
+
 FAULTS = {
     "other traits": Fault("built", lambda traits: Correct(replace(traits, min_samples=1))),
     "not a method": Fault("built", lambda traits: SimpleNamespace(traits=traits)),
     "asks for a value": Fault("recordable", edited(ask)),
+    "copies a number": Fault("recordable", edited(copy_number)),
     "not frozen": Fault(
         "frozen",
         lambda traits: SimpleNamespace(

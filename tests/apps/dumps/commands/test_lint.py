@@ -10,7 +10,6 @@ from rlbench.apps.render.jobs import render_clips
 from rlbench.clips.stored import open_clip
 from rlbench.training import dataset
 from tests.cli.runner import rlbench
-from tests.conftest import write_noise
 
 
 @pytest.fixture
@@ -88,24 +87,6 @@ def test_render_can_print_the_hashes_by_which_others_recognise_the_clips(clip_fo
     )
     clip = open_clip(clip_folder)
     assert rlbench("render", "--digests").strip() == f"{clip.name} {clip.digest[:12]}"
-
-
-def test_import_of_an_unknown_format_or_folder_is_one_message(tmp_path):
-    words = ("--format", "foo", "--out", tmp_path / "clips")
-    output = rlbench("import", tmp_path, *words, code=2)
-    assert (
-        "no layout 'foo', and no such file; rlbench lint --guess writes one; there are: blender,"
-        in output
-    )
-    output = rlbench("import", tmp_path / "nowhere", *words, code=2)
-    assert "Invalid value for 'SOURCE'" in output
-
-
-def test_lint_reports_a_faulty_clip_with_exit_code_1(tmp_path):
-    write_noise(tmp_path / "clips" / "noise")  # its normals and motion belong to no scene
-    output = rlbench("lint", tmp_path / "clips", "--figure", tmp_path / "lint.png", code=1)
-    assert "✗" in output
-    assert (tmp_path / "lint.png").stat().st_size > 0
 
 
 def test_lint_of_a_folder_without_clips_is_wrong_use(tmp_path):

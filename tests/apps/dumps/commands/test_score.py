@@ -103,14 +103,10 @@ def test_a_claimed_time_is_ranked_among_measured_ones_and_marked(root, device):
         (("--scenes", "cty"), "Did you mean 'city'?"),
         (("--device", "RTX 4090"), "add --ms"),
         (("--samples", "absent"), "absent does not exist"),
+        (("--spp", 99), "--spp 99: clip 'city' stores"),
     ],
 )
 def test_wrong_use_of_score_is_one_message(root, words, message):
     output = score(root, *words, code=2)
     assert message in output
     assert "Traceback" not in output
-
-
-def test_more_samples_than_the_clip_stores_are_refused(root):
-    output = score(root, "--spp", 99, code=2)
-    assert "--spp 99: clip 'city' stores" in output

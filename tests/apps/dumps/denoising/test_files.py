@@ -300,11 +300,6 @@ def test_gaps_are_for_rows_without_memory(copy, tmp_path, row):
     assert summary.written == FRAMES // 2
 
 
-def test_a_finished_shot_is_left_alone(render, whole):
-    (summary,) = run(render, whole)
-    assert (summary.kept, summary.written) == (FRAMES, 0)
-
-
 def test_a_folder_of_other_settings_is_refused(render, whole):
     with pytest.raises(DenoiseError, match="method"):
         run(render, whole, row="oidn")

@@ -6,7 +6,7 @@ import pytest
 
 from rlbench.apps.dumps.importers import formats
 from rlbench.errors import SourceError
-from tests.apps.dumps.importers.sources import write_oidn, write_rl_path_tracing
+from tests.apps.dumps.importers.sources import write_oidn
 
 
 def test_an_unknown_layout_is_reported_with_the_known_ones(source):
@@ -15,12 +15,6 @@ def test_an_unknown_layout_is_reported_with_the_known_ones(source):
         match=r"no layout 'blend', .*; there are: blender, .*\. Did you mean 'blender'\?$",
     ):
         formats.find_sequences(source, "blend")
-
-
-def test_the_former_name_paper_is_rl_path_tracing(tmp_path):
-    source = write_rl_path_tracing(tmp_path)
-    (old,), (new,) = (formats.find_sequences(source, name) for name in ("paper", "rl-path-tracing"))
-    assert (old.name, old.numbers, old.files) == (new.name, new.numbers, new.files)
 
 
 @pytest.mark.parametrize("format_", ["noisebase", "rl-path-tracing"])

@@ -23,8 +23,6 @@ from rlbench.errors import SourceError
 from tests.apps.dumps.importers.dumps import write_falcor
 from tests.apps.dumps.lint.broken_fixtures import correct_clip
 
-POINTS = {"to previous": 1, "from previous": -1}
-
 
 @pytest.fixture(scope="module")
 def arrays() -> ClipArrays:

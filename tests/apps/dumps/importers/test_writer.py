@@ -159,22 +159,6 @@ def test_another_import_does_not_write_into_an_existing_clip(source, tmp_path, c
     assert "holds a clip from elsewhere" in rlbench(*words, *changed, code=2)
 
 
-def test_a_rendered_clip_is_not_overwritten(source, clip_folder):
-    clip_folder.rename(clip_folder.with_name("walk"))
-    words = ("import", source, "--format", "oidn", "--out", clip_folder.parent)
-    assert "holds a clip from elsewhere" in rlbench(*words, code=2)
-
-
-def test_fireflies_are_not_clipped(tmp_path):
-    source = write_oidn(tmp_path / "source", frames=1)
-    image = radiance(0, 0)
-    image[1, 1] = 3e6
-    exr(source / "walk_0000_seed0_0001spp.hdr.exr", image)
-    rlbench("import", source, "--format", "oidn", "--out", tmp_path / "out", "--exposure", 1)
-    clip = open_clip(tmp_path / "out" / "walk", frozenset())
-    assert np.float32(clip.frame(0).pool.radiance.max()) == 3e6
-
-
 # What would not come back, and where nothing is written
 
 

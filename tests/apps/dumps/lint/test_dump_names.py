@@ -221,21 +221,19 @@ def test_channels_that_nothing_reads_are_listed_with_their_range_and_what_they_c
     }
 
 
-def test_a_dump_without_radiance_is_an_error(tmp_path):
-    write_file(tmp_path / "Normal.1.exr", {"": flat(0.5, *"XYZ")})
-    with pytest.raises(SourceError, match="no image looks like radiance"):
-        find_named_images(tmp_path)
-
-
-def test_a_folder_without_exr_files_says_what_it_holds(tmp_path):
-    (tmp_path / "beauty.0001.png").write_text("")
-    with pytest.raises(SourceError, match="it holds: beauty.0001.png"):
-        find_named_images(tmp_path)
-
-
-def test_no_layout_is_guessed_for_a_clip(tmp_path):
-    (tmp_path / "clip.toml").write_text("")
-    with pytest.raises(SourceError, match="is a clip already"):
+@pytest.mark.parametrize(
+    ("file", "message"),
+    [
+        ("Normal.1.exr", "no image looks like radiance"),
+        ("beauty.0001.png", "it holds: beauty.0001.png"),
+        ("clip.toml", "is a clip already"),
+    ],
+)
+def test_no_layout_is_guessed_for_what_is_no_dump(tmp_path, file, message):
+    (tmp_path / file).write_text("")
+    if file.endswith(".exr"):
+        write_file(tmp_path / file, {"": flat(0.5, *"XYZ")})
+    with pytest.raises(SourceError, match=message):
         find_named_images(tmp_path)
 
 

@@ -7,7 +7,6 @@ import shutil
 import numpy as np
 import OpenEXR
 import pytest
-from typer.testing import CliRunner
 
 from rlbench.apps.dumps.importers.layout import decode_layout, read_layout
 from rlbench.apps.dumps.lint.checks import lint_clip
@@ -16,7 +15,6 @@ from rlbench.apps.dumps.lint.dump_names import list_unclaimed
 from rlbench.apps.dumps.lint.guess import format_guess, guess_layout, recognize_layout
 from rlbench.apps.dumps.lint.radiance import check_brightness
 from rlbench.checks.result import Verdict
-from rlbench.cli.app import app
 from tests.apps.dumps.importers.dumps import (
     WRITERS,
     planes,
@@ -182,15 +180,6 @@ def test_a_dump_without_a_reference_has_a_layout_without_one(small, tmp_path):
     layout = read_layout(str(tmp_path / "engine.toml"))
     assert layout.reference.files == ()
     assert layout.radiance.files == "sample{sample}/Mogwai.PathTracer.color.{frame}.exr"
-
-
-def test_the_command_does_not_overwrite_a_layout(own, tmp_path):
-    (tmp_path / "mine.toml").write_text("kept")
-    words = ["lint", "--guess", str(own[1] / "dump"), "--layout", str(tmp_path / "mine.toml")]
-    result = CliRunner().invoke(app, words)
-    assert result.exit_code == 2
-    assert "mine.toml exists; name another file" in result.output
-    assert (tmp_path / "mine.toml").read_text() == "kept"
 
 
 def test_world_normals_win_over_those_in_camera_space(small, tmp_path):

@@ -131,7 +131,7 @@ def test_a_killed_rendering_resumes_to_the_same_pixels(cycles, files, tmp_path):
     out, log = tmp_path / "clip", tmp_path / "log"
     code = (
         "from tests.apps.render.cycles.test_clip import *; import sys;"
-        "ensure_cycles(wish(Path(sys.argv[1]), Path(sys.argv[2])), PLAN)"
+        "ensure_cycles(make_options(Path(sys.argv[1]), Path(sys.argv[2])), PRESET)"
     )
     with log.open("wb") as stderr:
         rendering = subprocess.Popen(
@@ -140,8 +140,8 @@ def test_a_killed_rendering_resumes_to_the_same_pixels(cycles, files, tmp_path):
         while rendering.poll() is None and not list(out.glob(".cycles/path.*.3.exr")):
             pass
         rendering.send_signal(signal.SIGKILL)
-        rendering.wait()
-    assert not (out / "clip.toml").exists(), log.read_text()
+        assert rendering.wait() == -signal.SIGKILL, log.read_text()
+    assert not (out / "clip.toml").exists()
     resumed = ensure_cycles(make_options(files, out), PRESET)
     for file in cycles.glob("*.exr"):
         assert (resumed / file.name).read_bytes() == file.read_bytes(), file.name

@@ -40,35 +40,27 @@ def planes(albedo=(0.5, 0.4, 0.3), normal=(0, 0, 1), depth=2.0, vector=(3.0, 5.0
     return channels
 
 
-def test_motion_is_vector_with_y_down():
-    assert_allclose(frames.convert_passes(planes(), SCENE, 0.0)["motion"][0, 0], [3, -5])
+CONVERTED = {  # of the first pixel; the linter refuses a surface of a depth and no normal
+    "motion has y down": ({}, "motion", [3, -5]),
+    "depth stays": ({}, "depth", [2.0]),
+    "albedo of emitters is clipped": ({"albedo": (23.9, 0.5, -0.1)}, "albedo", [1, 0.5, 0]),
+    "normals get unit length": ({"normal": (0.0, 0.3, 0.4)}, "normal", [0, 0.6, 0.8]),
+    "no normal is background": ({"normal": (0, 0, 0)}, "depth", [np.inf]),
+}
 
 
-def test_depth_of_sky_is_infinite_and_of_surfaces_unchanged():
-    depth = frames.convert_passes(planes(), SCENE, 0.0)["depth"]
-    assert np.isposinf(depth[:, -1]).all()
-    assert_allclose(depth[:, :-1], 2.0)
+@pytest.mark.parametrize("case", CONVERTED)
+def test_passes_of_surfaces_are_converted(case):
+    values, name, expected = CONVERTED[case]
+    found = frames.convert_passes(planes(**values), SCENE, 0.0)[name][0, 0]
+    assert_allclose(found, expected, atol=1e-6)  # float32
 
 
-@pytest.mark.parametrize("name", ["albedo", "normal"])
-def test_sky_has_neither_albedo_nor_normal(name):
-    assert not frames.convert_passes(planes(), SCENE, 0.0)[name][:, -1].any()
-
-
-def test_albedo_of_emitters_is_clipped_to_one():
-    albedo = frames.convert_passes(planes(albedo=(23.9, 0.5, -0.1)), SCENE, 0.0)["albedo"][0, 0]
-    assert_allclose(albedo, [1, 0.5, 0])
-
-
-def test_normals_become_unit_length():
-    normal = frames.convert_passes(planes(normal=(0.0, 0.3, 0.4)), SCENE, 0.0)["normal"][0, 0]
-    assert_allclose(normal, [0, 0.6, 0.8], atol=1e-6)  # float32
-
-
-def test_a_surface_without_a_normal_is_background():
-    # the linter refuses clips whose depth and normal disagree about the background
-    gbuffer = frames.convert_passes(planes(normal=(0, 0, 0)), SCENE, 0.0)
+def test_the_sky_is_infinite_without_albedo_and_normal():
+    gbuffer = {k: v[:, -1] for k, v in frames.convert_passes(planes(), SCENE, 0.0).items()}
     assert np.isposinf(gbuffer["depth"]).all()
+    assert not gbuffer["albedo"].any()
+    assert not gbuffer["normal"].any()
 
 
 def test_sky_moves_by_the_turn_of_the_camera():

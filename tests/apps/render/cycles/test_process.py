@@ -26,7 +26,6 @@ from rlbench.apps.render.scene import Camera, Scene, SceneError
 from rlbench.apps.render.user import camera_path
 from rlbench.apps.render.user.clip import UserSceneOptions
 from rlbench.clips.presets import get_preset
-from rlbench.errors import OptionError
 from tests.apps.render.cycles import shared_scene
 
 LEVEL = Scene("s", "s", (), lambda time: Camera((time, -4.0, 1.0), (time, 0.0, 1.0), fov=40.0))
@@ -112,20 +111,6 @@ def test_a_changed_buffer_beside_a_gltf_is_noticed(tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("name", "tracer", "match"),
-    [
-        ("a.blend", "mitsuba", "does not read a.blend. mitsuba reads .xml"),
-        ("a.xml", "cycles", "does not read a.xml. .*cycles reads .blend"),
-        ("a.xml", "luxcore", "does not read a.xml. mitsuba reads .*cycles reads"),
-        ("a.max", None, "no tracer reads it"),
-    ],
-)
-def test_a_tracer_that_does_not_read_a_file_is_refused(name, tracer, match):
-    with pytest.raises(OptionError, match=match):
-        select_tracer(Path(name), tracer)
-
-
-@pytest.mark.parametrize(
     ("name", "tracer"),
     [("a.xml", "mitsuba"), ("a.py", "mitsuba"), ("A.GLB", "mitsuba"), ("a.blend", "cycles")],
 )
@@ -150,25 +135,23 @@ def events(tmp_path, job=None):
     return list(process.run_worker(job or {}, tmp_path / "logs" / "render.log"))
 
 
-@pytest.mark.parametrize(
-    ("signal", "why"),
-    [("SEGV", "segmentation fault"), ("KILL", "ran out of memory"), ("ABRT", "aborted")],
-)
-def test_the_error_of_a_crash_has_the_signal_and_the_end_of_the_log(python, tmp_path, signal, why):
-    python(f"echo 'BVH build of Suzanne' >&2; kill -{signal} $$")
-    with pytest.raises(CyclesError, match=f"(?s)SIG{signal}.*{why}.*BVH build of Suzanne"):
-        events(tmp_path)
+LOG = "echo 'BVH build of Suzanne' >&2"
+ENDS = {
+    "a fault": (f"{LOG}; kill -SEGV $$", "(?s)SIGSEGV.*segmentation fault.*BVH build of Suzanne"),
+    "no memory": (f"{LOG}; kill -KILL $$", "(?s)SIGKILL.*ran out of memory.*BVH build of Suzanne"),
+    "an abort": (f"{LOG}; kill -ABRT $$", "(?s)SIGABRT.*aborted.*BVH build of Suzanne"),
+    "too early": ("""echo '{"event": "hello"}'""", "exit code 0 before it was done"),
+    "half a line": ("""printf '{"event": "ma'; kill -SEGV $$""", "SIGSEGV"),
+}
 
 
-def test_an_end_before_it_is_done_is_an_error_even_with_exit_code_zero(python, tmp_path):
-    python("""echo '{"event": "hello", "blender": "4.5"}'""")
-    with pytest.raises(CyclesError, match="exit code 0 before it was done"):
-        events(tmp_path)
-
-
-def test_half_a_line_of_a_process_that_died_is_no_event(python, tmp_path):
-    python("""printf '{"event": "ma'; kill -SEGV $$""")
-    with pytest.raises(CyclesError, match="SIGSEGV"):
+@pytest.mark.parametrize("end", ENDS)
+def test_the_error_of_a_process_that_ended_says_how_and_has_the_end_of_its_log(
+    python, tmp_path, end
+):
+    body, message = ENDS[end]
+    python(body)
+    with pytest.raises(CyclesError, match=message):
         events(tmp_path)
 
 
@@ -181,10 +164,6 @@ def test_the_error_of_a_missing_interpreter_names_the_variable(tmp_path, monkeyp
     monkeypatch.setenv(process.PYTHON_VARIABLE, str(tmp_path / "none"))
     with pytest.raises(CyclesError, match=f"{process.PYTHON_VARIABLE}: .*none cannot be run"):
         events(tmp_path)
-
-
-def test_a_missing_interpreter_has_no_bpy(tmp_path, monkeypatch):
-    monkeypatch.setenv(process.PYTHON_VARIABLE, str(tmp_path / "none"))
     assert process.bpy_version() is None
 
 

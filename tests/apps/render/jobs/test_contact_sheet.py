@@ -14,22 +14,13 @@ def test_black_stays_black_and_white_is_reached():
     assert contact_sheet.tone_map(white, 1.0)[0, :, 0].tolist() == [0, 255]
 
 
-def test_exposure_is_a_factor_of_radiance():
-    radiance = np.random.default_rng(0).uniform(0, 2, (4, 5, 3))
-    assert np.array_equal(
-        contact_sheet.tone_map(radiance, 3.0), contact_sheet.tone_map(3 * radiance, 1.0)
-    )
-
-
-def test_brighter_is_never_shown_darker():
+def test_brighter_is_never_darker_and_non_finite_radiance_is_black():
     ramp = np.repeat(np.geomspace(1e-4, 50, 300)[None, :, None], 3, -1)
-    assert (np.diff(contact_sheet.tone_map(ramp, 1.0)[0, :, 0].astype(int)) >= 0).all()
-
-
-def test_non_finite_radiance_is_black():
-    assert contact_sheet.tone_map(np.array([[[np.nan, np.inf, -np.inf]]]), 1.0).tolist() == [
-        [[0, 0, 0]]
-    ]
+    shown = contact_sheet.tone_map(ramp, 1.0)
+    assert (np.diff(shown[0, :, 0].astype(int)) >= 0).all()
+    assert np.array_equal(contact_sheet.tone_map(ramp / 3, 3.0), shown)
+    broken = np.array([[[np.nan, np.inf, -np.inf]]])
+    assert not contact_sheet.tone_map(broken, 1.0).any()
 
 
 def test_the_third_image_starts_the_second_row():

@@ -19,7 +19,8 @@ from rlbench.clips.header import read_header
 from rlbench.clips.presets import Preset
 from rlbench.clips.stored import open_clip, verify
 from rlbench.family import Traits
-from tests.apps.render.conftest import own_cache
+from tests.apps.render.conftest import check_no_kernel_is_compiled, own_cache
+from tests.apps.render.jobs.test_render_clips import Killed, contents, killer
 from tests.apps.render.small_scenes import diffuse, grey, room, square
 
 PRESET = Preset("test", "tests", (16, 24), frames=4, reference_spp=2, pool_spp=2)
@@ -30,10 +31,6 @@ SIGMAS = 4.0  # standard errors that a mean may deviate
 
 def job(folder, preset=BOTH, scene=None):
     return Job("room", scene or room(), preset, folder)
-
-
-def contents(folder, pattern="*.exr"):
-    return {file.name: file.read_bytes() for file in sorted(folder.glob(pattern))}
 
 
 @pytest.fixture(scope="module")
@@ -55,20 +52,6 @@ def plain(llvm, rendered, tmp_path):
 @pytest.fixture
 def clip(llvm, rendered, tmp_path):
     return shutil.copytree(rendered / "clip", tmp_path / "clip")
-
-
-class Killed(BaseException):
-    """Interrupts a rendering."""
-
-
-def killer(after):
-    calls = iter(range(after))
-
-    def traced():
-        if next(calls, None) is None:
-            raise Killed
-
-    return traced
 
 
 def test_a_pool_is_added_to_a_clip_and_nothing_else_is_touched(plain):
@@ -307,8 +290,6 @@ def test_a_stream_does_not_depend_on_the_other_streams(llvm):
 
 
 def test_no_kernel_is_compiled_after_the_second_frame(llvm):
-    import drjit as dr
-
     tracer = open_scene(room())
     pool = chains(tracer, 2)
 
@@ -318,10 +299,4 @@ def test_no_kernel_is_compiled_after_the_second_frame(llvm):
 
     frame(0.0)
     frame(1.0)
-    with dr.scoped_set_flag(dr.JitFlag.KernelHistory, True):
-        dr.kernel_history_clear()
-        for time in (2.0, 3.0, 4.5):
-            frame(time)
-        kernels = dr.kernel_history([dr.KernelType.JIT])
-    assert kernels
-    assert all(kernel["cache_hit"] for kernel in kernels)
+    check_no_kernel_is_compiled(lambda: [frame(time) for time in (2.0, 3.0, 4.5)])

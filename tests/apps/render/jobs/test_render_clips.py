@@ -6,7 +6,6 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import torch
-from typer.testing import CliRunner
 
 from rlbench import registry
 from rlbench.apps.render.jobs.job import Job
@@ -21,7 +20,6 @@ from rlbench.apps.render.jobs.render_clips import (
 from rlbench.apps.render.mitsuba.gbuffer import render_gbuffer
 from rlbench.apps.render.mitsuba.open_tracer import open_tracer
 from rlbench.apps.render.scene import SceneError
-from rlbench.cli.app import app
 from rlbench.clips.header import ClipError, read_header, write_header
 from rlbench.clips.presets import Preset
 from rlbench.clips.stored import open_clip, verify
@@ -37,8 +35,8 @@ def job(folder, scene=None, preset=PRESET):
     return Job("room", scene or room(), preset, folder)
 
 
-def contents(folder):
-    return {file.name: file.read_bytes() for file in sorted(folder.glob("*.exr"))}
+def contents(folder, pattern="*.exr"):
+    return {file.name: file.read_bytes() for file in sorted(folder.glob(pattern))}
 
 
 @pytest.fixture(scope="module")
@@ -61,7 +59,7 @@ class Killed(BaseException):
 def killer(after):
     calls = iter(range(after))
 
-    def traced(samples):
+    def traced(*samples):
         if next(calls, None) is None:
             raise Killed
 
@@ -130,11 +128,6 @@ def test_extra_buffers_are_in_the_clip(llvm, tmp_path):
         np.testing.assert_allclose(buffer, expected, atol=2**-11, err_msg=name)  # half, up to 1
 
 
-def test_opening_a_clip_without_extra_buffers_lists_those_it_has(clip):
-    with pytest.raises(ClipError, match="no buffer object; it has: albedo, normal, depth, motion"):
-        open_clip(clip, inputs=frozenset({"object"}))
-
-
 def test_a_changed_scene_replaces_its_frames(clip):
     before = contents(clip)
     painted = replace(room().meshes[0], material=diffuse(0.9, 0.1, 0.1))
@@ -149,11 +142,6 @@ def test_frames_of_another_renderer_are_not_removed(llvm, tmp_path):
     with pytest.raises(ClipError, match="did not write"):
         render_clip(job(tmp_path))
     assert (tmp_path / "view.0000.exr").exists()
-
-
-def test_an_unknown_scene_is_an_error_that_lists_the_available_ones(tmp_path):
-    with pytest.raises(LookupError, match="temple"):
-        preset_jobs("tiny", scenes=["atlantis"])
 
 
 def test_a_cap_dims_inputs_and_references_alike_and_is_in_the_header(clip, tmp_path):
@@ -178,12 +166,6 @@ def test_a_generated_scene_without_a_seed_is_an_error(name):
         scene_of_clip(name)
 
 
-def test_a_missing_seed_on_the_command_line_is_an_error():
-    result = CliRunner().invoke(app, ["render", "--scenes", "generated"])
-    assert result.exit_code != 0
-    assert "give a seed" in result.output
-
-
 @pytest.fixture
 def installed(monkeypatch):
     monkeypatch.setattr(registry, "list_plugins", lambda group: ["room"])
@@ -200,13 +182,6 @@ def clips(llvm, installed, place):
     return {
         folder.name: folder for folder in render_missing(preset_jobs(TAKES_PRESET, folder=place))
     }  # rendered once
-
-
-def test_an_unknown_take_is_an_error_that_lists_the_available_ones(installed):
-    with pytest.raises(
-        SceneError, match="scene 'room' has no take 'crane'; available takes: cut, still"
-    ):
-        scene_of_clip("room-crane")
 
 
 def test_a_preset_of_all_takes_renders_a_clip_for_each_with_the_name_of_the_scene(clips):

@@ -24,10 +24,6 @@ def false_library(tmp_path, monkeypatch):
     return file
 
 
-def test_the_library_of_this_machine_is_usable(llvm):
-    assert llvm == "llvm_ad_rgb"
-
-
 def test_a_file_that_is_no_library_is_in_the_report_with_what_to_install(false_library):
     text = variant.describe_variant()
     assert f"cannot use {false_library}: " in text

@@ -11,12 +11,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from rlbench.apps.render.fingerprint import fingerprint
 from rlbench.apps.render.scene import Scene
-from rlbench.apps.render.scenes.parts.shapes import icosphere
 
 NAMES = ("city", "temple", "hall", "ripples")
 TIMES = (-1.0, 0.0, 0.5, 7.0, 40.0)
-PATH_TIMES = (0.0, 4.0, 8.0, 20.0, 32.0, 65.0, 95.0, 1000.0)
 
 
 @cache
@@ -32,6 +31,20 @@ def scene(request) -> Scene:
 def _normals(vertices, faces):
     a, b, c = np.moveaxis(vertices[faces].astype(np.float64), 1, 0)
     return np.cross(b - a, c - a)  # twice the area long
+
+
+FINGERPRINTS = {  # of the clips that were published, by take; another scene is another preset
+    "city": {"": "247847afd8d51922", "static": "f0d0b6ba7e4b56d1", "cut": "bfa9b54a7a989177"},
+    "temple": {"": "f376b2a88ab87c36", "static": "a17a7cbb5727d392", "cut": "2c470a42afbd1337"},
+    "hall": {"": "d966c69f324d4fd6", "static": "cb20e1dda6e3dc3f", "cut": "82e583a28a6a33e9"},
+    "ripples": {"": "c9d86315c412eca8", "static": "a2f7a4b209efd374", "cut": "d2ea2e9c55ac6b3c"},
+}
+
+
+def test_scenes_are_those_of_the_published_results(scene):
+    takes = {"": scene, **{name: scene.select_take(name) for name in ("static", "cut")}}
+    found = {name: fingerprint(take, 20) for name, take in takes.items()}
+    assert found == FINGERPRINTS[scene.name]
 
 
 def test_faces_index_vertices(scene):
@@ -134,19 +147,6 @@ def _takes(scene):
     return [scene, *(scene.select_take(take.name) for take in scene.takes)]
 
 
-def test_nothing_stands_within_arm_length_of_the_camera(scene):
-    main, *others = _takes(scene)
-    times = product([main], [-1.0, 0.0, 10.0, 20.0, 100.0, 1000.0])
-    for take, time in [*times, *product(others, [0.0, 5.0, 10.0, 19.0])]:
-        origin = np.array(take.camera(time).origin)
-        moved = take.vertex_animation(time)
-        for mesh in take.meshes:
-            corners = moved.get(mesh.name, mesh.vertices)[mesh.faces]
-            size = np.linalg.norm(corners.max(1) - corners.min(1), axis=1)
-            gap = np.linalg.norm(corners - origin, axis=-1).min(1)
-            assert gap[size < 1].min(initial=np.inf) > 0.4, (take.name, time, mesh.name)
-
-
 def test_every_scene_has_a_take_with_a_camera_that_stands_while_things_move(scene):
     take = scene.select_take("static")
     assert take.camera(3.0) == take.camera(17.0)
@@ -184,88 +184,7 @@ def test_exactly_the_takes_without_motion_are_static(scene):
         assert take.static == (not moved and camera == take.camera(0.0))
 
 
-def test_some_lamp_or_sky_shines(scene):
-    assert scene.sky or any(mesh.emission for mesh in scene.meshes)
-
-
 def test_every_scene_is_registered(scene):
     project = tomllib.loads((Path(__file__).parents[4] / "pyproject.toml").read_text())
     points = project["project"]["entry-points"]["rlbench.scenes"]
     assert points[scene.name] == f"rlbench.apps.render.scenes.{scene.name}.scene:scene"
-
-
-def test_the_hall_has_about_a_thousand_lamps():
-    lamps = [mesh for mesh in _scene("hall").meshes if mesh.name.startswith("lamps")]
-    assert 800 < sum(len(mesh.faces) // 2 for mesh in lamps) <= 1024
-
-
-def test_lamps_shine_with_one_radiance_a_mesh(scene):
-    shining = [mesh.emission for mesh in scene.meshes if mesh.emission]
-    # a texture would be read at every bounce of every path, and one sample is as good as another
-    assert all(emission["radiance"]["type"] == "rgb" for emission in shining)
-
-
-def test_the_panes_of_the_temple_face_inside():
-    panes = next(mesh for mesh in _scene("temple").meshes if mesh.name == "panes")
-    inward = np.array([0, 15, 4]) - panes.vertices[panes.faces].mean(1)  # from panes to the nave
-    assert ((_normals(panes.vertices, panes.faces) * inward).sum(-1) > 0).all()
-
-
-@pytest.mark.parametrize("name", ["temple", "hall"])
-def test_the_camera_keeps_clear_of_columns_machines_and_walls(name):
-    scene = _scene(name)
-    for time in range(0, 340, 34):
-        moved, eye = scene.vertex_animation(time), np.array(scene.camera(time).origin)
-        for mesh in scene.meshes:
-            a, b, c = np.moveaxis(moved.get(mesh.name, mesh.vertices)[mesh.faces], 1, 0)
-            assert np.linalg.norm((a + b + c) / 3 - eye, axis=-1).min() > 0.4, mesh.name
-            assert abs(_turns(a - eye, b - eye, c - eye)) < 0.5 or mesh.name in ("walls", "shell")
-
-
-def _turns(a, b, c):
-    """How often the triangles surround the origin: their solid angle (Van Oosterom, 1983)."""
-    x, y, z = (np.linalg.norm(v, axis=-1) for v in (a, b, c))
-    below = x * y * z + (a * b).sum(-1) * z + (b * c).sum(-1) * x + (c * a).sum(-1) * y
-    return np.arctan2((a * np.cross(b, c)).sum(-1), below).sum() / (2 * np.pi)
-
-
-def test_the_tubes_of_the_hall_shine_down():
-    tubes = next(mesh for mesh in _scene("hall").meshes if mesh.name == "tubes")
-    assert (_normals(tubes.vertices, tubes.faces)[:, 2] < 0).all()
-
-
-def _gap(point, corners):
-    """Distance from a point to the nearest of triangles [f 3 3]: to faces or else to edges."""
-    corners = corners.astype(np.float64) - point
-    ahead = np.roll(corners, -1, 1) - corners  # f 3 3: edges
-    share = -(corners * ahead).sum(-1) / (ahead**2).sum(-1)
-    edge = np.linalg.norm(corners + share.clip(0, 1)[..., None] * ahead, axis=-1).min(1)
-    normal = np.cross(ahead[:, 0], ahead[:, 1])
-    normal /= np.linalg.norm(normal, axis=1, keepdims=True)
-    away = (corners[:, 0] * normal).sum(-1)
-    foot = away[:, None] * normal  # of the perpendicular, in each plane
-    turned = (np.cross(ahead, foot[:, None] - corners) * normal[:, None]).sum(-1)
-    return np.where((turned >= 0).all(1), np.abs(away), edge).min()
-
-
-def test_the_gap_to_a_ball_is_the_distance_to_its_surface():
-    sphere = icosphere(4)
-    corners = sphere.vertices[sphere.faces]
-    assert _gap(np.array([0.3, 0.0, 2.0]), corners) == pytest.approx(np.hypot(0.3, 2) - 1, abs=3e-3)
-
-
-@pytest.mark.parametrize("name", ["city", "ripples"])
-def test_the_camera_keeps_clear_of_every_surface(name):
-    scene = _scene(name)
-    for time in PATH_TIMES:
-        origin, moved = np.array(scene.camera(time).origin), scene.vertex_animation(time)
-        gaps = {m.name: _gap(origin, moved.get(m.name, m.vertices)[m.faces]) for m in scene.meshes}
-        assert min(gaps.values()) > 0.5, (time, gaps)  # metres
-
-
-@pytest.mark.parametrize("name", ["city", "ripples"])
-def test_triangle_counts_stay_small_enough_to_animate(name):
-    scene = _scene(name)
-    assert sum(len(mesh.faces) for mesh in scene.meshes) < 200_000
-    moving = scene.vertex_animation(0.0)
-    assert sum(len(vertices) for vertices in moving.values()) < 120_000

@@ -12,6 +12,7 @@ from rlbench.apps.render.user.clip import UserSceneOptions, ensure_user_clip
 from rlbench.apps.render.user.scene_file import open_scene_file
 from rlbench.clips.header import read_header
 from rlbench.clips.stored import open_clip
+from tests.apps.render.conftest import check_no_kernel_is_compiled
 from tests.apps.render.user.xml_room import (
     BODY,
     FOV,
@@ -67,8 +68,6 @@ def test_an_instance_is_visible_and_static_beside_moving_meshes(room):
 
 
 def test_no_kernel_is_compiled_after_the_first_frame_of_an_xml_scene(room):
-    import drjit as dr
-
     hook = room.with_name("waves.py")
     hook.write_text(HOOK)
     path = camera_path.follow_matrices(PASSING)
@@ -84,13 +83,7 @@ def test_no_kernel_is_compiled_after_the_first_frame_of_an_xml_scene(room):
         tracer.trace_images(2)
 
     work(0.0)
-    with dr.scoped_set_flag(dr.JitFlag.KernelHistory, True):
-        dr.kernel_history_clear()
-        work(1.0)
-        work(2.0)
-        kernels = dr.kernel_history([dr.KernelType.JIT])
-    assert kernels
-    assert all(kernel["cache_hit"] for kernel in kernels)
+    check_no_kernel_is_compiled(lambda: [work(1.0), work(2.0)])
 
 
 def test_a_python_scene_is_rendered_with_its_own_camera_and_exposure(room):

@@ -17,7 +17,6 @@ from rlbench.clips.header import read_header
 from tests.apps.render.user.xml_room import BODY, PRESET, document
 
 MIRROR = Path(os.environ.get("RLBENCH_SCENES", "/nowhere"))
-COPPER = '<rgb name="eta" value="0.2 0.9 1.1"/><rgb name="k" value="3.9 2.5 2.3"/>'
 
 
 def _settings(folder, body, version="0.6.0", skip_missing=False):

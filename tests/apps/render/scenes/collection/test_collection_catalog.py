@@ -92,11 +92,6 @@ def test_a_scene_that_ships_with_a_pin_keeps_it(server):
         catalog.own_pin_file("kitchen")
 
 
-def test_an_unknown_name_is_answered_with_the_nearest():
-    with pytest.raises(SceneError, match=r"no scene 'kitchn' .*Did you mean 'kitchen'\?"):
-        locate("kitchn")
-
-
 @pytest.mark.parametrize(
     ("name", "command"),
     [
