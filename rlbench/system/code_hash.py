@@ -28,6 +28,8 @@ CORE = (
     "rlbench.sampling",
     "rlbench.ops.asking",
     "rlbench.ops.dither",
+    "rlbench.ops.nested_tensors",
+    "rlbench.ops.recording",
     "rlbench.ops.sanitize",
     "rlbench.ops.transfer",
     "rlbench.sanitize",

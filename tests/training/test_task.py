@@ -45,6 +45,13 @@ def test_the_learning_rate_starts_at_a_25th_and_ends_at_a_10000th_of_the_peak(fr
 def test_optional_fields_are_in_the_json_only_if_they_are_chosen():
     stored = TrainingConfig(24).to_dict()
     assert stored == {key: value for key, value in stored.items() if key not in OPTIONAL}
-    chosen = {"spp": (4.0,), "mix": 0.5, "keep": "best", "anchor": 30.0, "anneal": 1.5}
+    chosen = {
+        "spp": (4.0,),
+        "mix": 0.5,
+        "keep": "best",
+        "anchor": 30.0,
+        "anneal": 1.5,
+        "graph": True,
+    }
     assert TrainingConfig(24, **chosen).to_dict() == stored | chosen | {"spp": [4.0]}
     assert set(chosen) == set(OPTIONAL)
