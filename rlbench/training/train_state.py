@@ -112,10 +112,10 @@ class TrainState:
         if task.auxiliary_network is not None:
             self._modules["the auxiliary network"] = task.auxiliary_network
         self._anchors = self._find_anchors() if config.anchor else []
-        self._losses: Backward = self._backward
+        self._losses: Backward = self._run_backward
         if recorder and not task.eager_reason:
             weights = [each for group in self.optimizer.param_groups for each in group["params"]]
-            self._losses = RecordedSteps(self._backward, weights, recorder)
+            self._losses = RecordedSteps(self._run_backward, weights, recorder)
 
     @property
     def ema_networks(self) -> nn.Module:
@@ -198,13 +198,16 @@ class TrainState:
         with torch.autocast(self.device.type, torch.bfloat16, enabled=self.config.bf16):
             return next(losses, None)
 
-    def _backward(self, clip: Clip, spp: float) -> Iterator[Tensor]:
+    def _run_backward(self, clip: Clip, spp: float) -> Iterator[Tensor]:
         """Each loss of a clip, with its gradients in the weights."""
         losses = self.task.losses(clip, spp)
         while (loss := self._forward(losses)) is not None:
-            self.optimizer.zero_grad()
-            loss.backward()  # type: ignore[no-untyped-call]
+            self._backward(loss)
             yield loss.detach()
+
+    def _backward(self, loss: Tensor) -> None:
+        self.optimizer.zero_grad()
+        loss.backward()  # type: ignore[no-untyped-call]
 
     def _clip_gradients(self, loss: Tensor, step: int) -> None:
         """Scale long gradients down. Raises NonFiniteStepError, after one look at all values."""
