@@ -39,15 +39,11 @@ demo: .venv/run.stamp
 	@echo
 	@echo "Pareto plot and tables: $(REPORT)/    images, layers, curves, table, in a browser: $(REPORT)/report.html"
 
-# the README's figures and tables: every row of every method, extras included
+# the summary of every row of every method, extras included, and its figures
 docs: .venv/dev.stamp
 	$(BIN)/rlbench run --methods 'all/*' --preset mini --spp 0.5,1,2,4 --out $(RESULTS)
 	$(BIN)/rlbench report summary --results $(RESULTS) --out docs/made
 	$(BIN)/rlbench report pareto --results $(RESULTS) --out docs/made --methods all,oidn/tuned
-	for name in pareto winners; do \
-	  $(BIN)/rlbench report $$name --results $(RESULTS) --out docs/made/eight --methods $(README) && \
-	  mv docs/made/eight/$$name.png docs/made/$$name-eight.png || exit 1; done
-	rm -r docs/made/eight
 	$(BIN)/rlbench report winners --results $(RESULTS) --out docs/made
 	$(BIN)/rlbench images -m ours,oidn-intel,imcd,ntas,svgf,mean --scenes city --out docs/made
 	mv docs/made/city-1spp-07.png docs/made/images.png && rm -r docs/made/city-1spp-07
@@ -128,7 +124,7 @@ real: .venv/dev.stamp
 	$(BIN)/rlbench report real -m '$(BY_OTHERS)' --results $(RESULTS)/real --against $(RESULTS)/mini,$(RESULTS)/development,$(RESULTS)/real-development --out docs/made
 	mv docs/made/real.md docs/made/real-*.png docs/results && rm -r docs/made
 
-# frames of 640x360 beside those of 192x192, and do both have one order of rows: an hour and a half of rendering, 20 minutes of scoring
+# frames of 640x360 beside those of 192x192, do both have one order of rows, and the times and figures of the README: an hour and a half of rendering, as long for scoring and timing
 large: .venv/dev.stamp
 	set -e; for size in 192x192 640x360; do \
 	  $(BIN)/rlbench run -m '$(SIZED)' --preset mini --size $$size --spp 1,4 --times none --out $(RESULTS)/large/mini-$$size && \
@@ -137,6 +133,11 @@ large: .venv/dev.stamp
 	  $(BIN)/rlbench report real -m '$(SIZED)' --results $(RESULTS)/large/$$preset-640x360 --out docs/made \
 	    --against $(RESULTS)/large/mini-192x192,$(RESULTS)/large/real-192x192 && \
 	  mv docs/made/real.md docs/results/$$preset-640x360.md && rm -r docs/made || exit 1; done
+	$(BIN)/rlbench run -m '$(README)' --preset mini --size 640x360 --spp 0.5,1,2,4 --out $(RESULTS)/large/times
+	$(call page,summary -m '$(README)',$(RESULTS)/large/times,mini-640x360-times)
+	set -e; for name in pareto winners; do \
+	  $(BIN)/rlbench report $$name --results $(RESULTS)/large/times --out docs/made && \
+	  mv docs/made/$$name.png docs/results/$$name-eight.png && rm -r docs/made || exit 1; done
 
 # what methods lose after a cut and a switched light, and how long: 9 minutes of rendering, 3 of scoring
 recovery: .venv/dev.stamp

@@ -5,7 +5,7 @@ A table stands between `<!-- table: SOURCE -->` and `<!-- /table -->`. SOURCE is
 - `results/unseen.md#First frame`: the table under that heading of a page of results
 - `families`: every family, its paper and its licence
 - `rows PATTERN,...`: rows such as `ours/latent*`, their questions and weights
-- `scores ROW,...`: PSNR of rows on `mini` and on `real`, at 192x192 and 640x360
+- `scores ROW,...`: PSNR of rows on `mini` and on `real`, at 192x192 and 640x360, and a frame's time
 - `denoise`: what `rlbench denoise` gives, from `results/denoise.csv` (`docs/measure_denoise.py`)
 """
 
@@ -27,6 +27,7 @@ DOCS = ROOT / "docs"
 PAGES = (ROOT / "README.md", *sorted(DOCS.rglob("*.md")))
 BLOCK = re.compile(r"(<!-- table: (.+?) -->\n).*?(<!-- /table -->)", re.DOTALL)
 BUDGETS = ("1 spp", "4 spp")
+TIMES = "mini-640x360-times"  # page of results
 SCORES = {  # title of columns: page of results
     "mini": "summary",
     "mini, 640x360": "mini-640x360",
@@ -101,12 +102,14 @@ def _format_training(card: ModelCard | None) -> str:
 
 
 def _list_scores(names: Sequence[str]) -> list[list[str]]:
-    """PSNR of rows on `mini` and on `real` at two sizes, without intervals."""
+    """PSNR of rows on `mini` and on `real` at two sizes without intervals, and the frame time."""
     pages = {
         title: _read_table(f"results/{page}.md", "PSNR [dB], mean over scenes")
         for title, page in SCORES.items()
     }
+    times = _read_frame_times()
     head = ["row", *(f"{title}: {spp}" for title in pages for spp in BUDGETS)]
+    head.append("640x360, 1 spp: ms a frame")
     rows = [head, ["---", *["---:"] * (len(head) - 1)]]
     for name in names:
         cells = [f"`{name}`"]
@@ -114,8 +117,19 @@ def _list_scores(names: Sequence[str]) -> list[list[str]]:
             line = next((line for line in lines if line[0].strip("*") == name), [])
             scores = dict(zip(header, line, strict=False))
             cells += [scores.get(spp, "-").split("[")[0].strip(" *") for spp in BUDGETS]
-        rows.append([cell.removesuffix(" tie") for cell in cells])
+        rows.append([*(cell.removesuffix(" tie") for cell in cells), times.get(name, "-")])
     return rows
+
+
+def _read_frame_times() -> dict[str, str]:
+    """Whole milliseconds of a frame at 1 spp and 640x360, by row."""
+    header, _, *lines = _read_table(f"results/{TIMES}.md", "frame time [ms], mean over scenes")
+    times = (dict(zip(header, line, strict=True)) for line in lines)
+    return {
+        each["method"]: re.sub(r"\.\d+", "", each["frame"])
+        for each in times
+        if each["target spp"] == "1"
+    }
 
 
 def _list_denoised() -> list[list[str]]:
