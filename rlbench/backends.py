@@ -18,7 +18,7 @@ import torch
 from torch import Tensor, nn
 
 from rlbench.errors import OptionError
-from rlbench.family import Traits
+from rlbench.family import Variant
 from rlbench.method import Method
 from rlbench.recorded_method import RecordedMethod
 
@@ -72,15 +72,15 @@ def require_backend(name: str, device: torch.device) -> None:
         )
 
 
-def applicable_backend(name: str, traits: Traits, *, learned: bool, skips_tiles: bool) -> str:
+def applicable_backend(name: str, variant: Variant, *, skips_tiles: bool = False) -> str:
     """The backend that a row uses where `name` is asked for: eager if that one changes nothing.
 
     Compilers run networks. Graphs have no answers: neither rows that ask (`Traits.eager_reason`)
     nor skipped tiles are recorded.
     """
     if name == GRAPH:
-        return EAGER if traits.eager_reason or skips_tiles else GRAPH
-    return name if learned else EAGER
+        return EAGER if variant.traits.eager_reason or skips_tiles else GRAPH
+    return name if variant.learned else EAGER
 
 
 def use_backend(method: Method, name: str, device: torch.device, bf16: bool = False) -> Method:

@@ -235,12 +235,7 @@ def build_method(
 
 
 def _backend_of(plan: RunPlan, variant: Variant) -> str:
-    return applicable_backend(
-        plan.backend,
-        variant.traits,
-        learned=variant.learned,
-        skips_tiles=_skips_tiles(plan, variant),
-    )
+    return applicable_backend(plan.backend, variant, skips_tiles=_skips_tiles(plan, variant))
 
 
 def _skips_tiles(plan: RunPlan, variant: Variant) -> bool:

@@ -129,6 +129,4 @@ def _changes_something(variant: Variant, backend: str, half: bool) -> bool:
     """True if a row runs in other code by this backend and precision, and for eager itself."""
     from rlbench.backends import applicable_backend
 
-    learned = variant.learned
-    own = applicable_backend(backend, variant.traits, learned=learned, skips_tiles=False)
-    return own == backend and (learned or not half)
+    return applicable_backend(backend, variant) == backend and (variant.learned or not half)

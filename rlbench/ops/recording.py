@@ -96,7 +96,7 @@ class Tape(Generic[T]):
 class RecordedFunction(Generic[T]):
     """A function of tensors, without gradients, that is recorded for each kind of arguments.
 
-    It runs as it is where somebody else records.
+    A recording has no room for another: call `function` itself while `is_recording()`.
     """
 
     function: Callable[..., T]

@@ -17,7 +17,7 @@ from torch import Tensor, nn
 
 from rlbench.clips.in_memory import InMemoryClip
 from rlbench.frames import Clip, Frame, StoredPool
-from rlbench.ops.recording import CudaGraphs, HeldInputs, Recorder, Tape, kind_of
+from rlbench.ops.recording import HeldInputs, Recorder, Tape, kind_of
 
 __all__ = ["RecordedSteps"]
 
@@ -33,11 +33,11 @@ class RecordedSteps:
     """
 
     def __init__(
-        self, backward: Backward, weights: Sequence[nn.Parameter], recorder: Recorder | None = None
+        self, backward: Backward, weights: Sequence[nn.Parameter], recorder: Recorder
     ) -> None:
         """`backward` must leave new gradients in `weights` with each loss that it yields."""
         self._backward, self._weights = backward, weights
-        self._recorder = recorder or CudaGraphs()
+        self._recorder = recorder
         self._recorded: dict[object, tuple[HeldInputs, list[tuple[Tape[Tensor], Gradients]]]] = {}
 
     def __call__(self, clip: Clip, spp: float) -> Iterator[Tensor]:

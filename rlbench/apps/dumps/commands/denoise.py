@@ -197,9 +197,7 @@ def _choose_backend(method: str, backend: str, device: torch.device) -> str:
     from rlbench import registry
     from rlbench.backends import applicable_backend, select_backend
 
-    variant, chosen = registry.get_variant(method), select_backend(backend, device)
-    learned = variant.learned
-    return applicable_backend(chosen, variant.traits, learned=learned, skips_tiles=False)
+    return applicable_backend(select_backend(backend, device), registry.get_variant(method))
 
 
 def _find(
