@@ -33,9 +33,8 @@ RIVALS := ours,ours/A1,ours/A2,ours/latent,ours/latent-A2,oidn/tuned,oidn-intel,
 BY_OTHERS := mean,ours,ours/A1,ours/A2,ours/latent,ours/latent-A2,ours/latent-by-rule,ours/paper,oidn,oidn-intel,oidn/tuned,oidn/half,dasr,$(RULES),$(PUBLISHED)
 EIGHT := accumulate/tuned,ours/by-rule,ours/A2,ours,oidn,oidn/tuned,accumulate/contrast,nppd
 
-# rows that are compared at two sizes, and the scenes by others on which
+# rows that are compared at two sizes
 SIZED := ours,ours/A2,ours/paper,accumulate/tuned,accumulate/fast,accumulate/contrast,oidn,oidn/tuned,nppd,svgf
-OTHERS_SIZED := living-room,classroom,staircase2
 
 # rows of the page of takes
 TAKES := $(RIVALS),ours/lag,$(PUBLISHED)

@@ -11,11 +11,44 @@ Names are imported when they are first used: `import rlbench` alone takes millis
 torch. The stub beside this file lists them.
 """
 
+import importlib.util
+import sys
+import threading
+from typing import Any
+
 import lazy_loader
 
 __getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)
 
-# Python knows these pages from here on, and loads them at first use. Else their first import would
-# put a page in the place of the function of the same name: `rlbench.run` is `rlbench.api.run`.
+
+def _announce(page: str) -> None:
+    """Let Python know a page before its first import, which runs its code at the first use.
+
+    A first import puts the page in the place of the function of the same name: `rlbench.run` is
+    `rlbench.api.run`. Unlike `importlib.util.LazyLoader`, questions for `__file__` and the like,
+    which torch asks all modules while it is imported, run nothing.
+    """
+    spec = importlib.util.find_spec(f"{__name__}.{page}")
+    module = importlib.util.module_from_spec(spec)
+    lock, has_run = threading.RLock(), False
+
+    def run_and_find(name: str) -> Any:
+        nonlocal has_run
+        with lock:
+            if not has_run:
+                has_run = True
+                try:
+                    spec.loader.exec_module(module)
+                except BaseException:
+                    has_run = False
+                    raise
+        if name not in vars(module):
+            raise AttributeError(f"module '{spec.name}' has no attribute '{name}'")
+        return vars(module)[name]
+
+    module.__getattr__ = run_and_find
+    sys.modules[spec.name] = module
+
+
 for _page in ("run", "denoise"):
-    lazy_loader.load(f"{__name__}.{_page}", suppress_warning=True)
+    _announce(_page)

@@ -93,7 +93,9 @@ def test_the_table_of_the_reference_lists_the_names_on_rlbench():
     assert re.findall(r"^\| `(\w+)` \|", REFERENCE, re.MULTILINE) == list(rlbench.__all__)
 
 
-@pytest.mark.parametrize("first", ["import rlbench.run, rlbench.denoise", "pass"])
+@pytest.mark.parametrize(
+    "first", ["import rlbench.run, rlbench.denoise", "from rlbench.frames import Frame", "pass"]
+)
 def test_a_name_is_the_function_whatever_was_imported_before(first):
     check = "assert {type(rlbench.run), type(rlbench.denoise)} == {types.FunctionType}"
     code = f"{first}\nimport rlbench, types\n{check}"

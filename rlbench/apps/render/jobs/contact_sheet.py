@@ -1,15 +1,17 @@
-"""Contact sheet: one frame of each test scene, side by side in one PNG.
+"""Contact sheet: one frame of each test scene, or of each scene of a preset, side by side.
 
     python -m rlbench.apps.render.jobs.contact_sheet docs/results/scenes.png --spp 1000 --size 512
+    python -m rlbench.apps.render.jobs.contact_sheet docs/results/real-scenes.png --preset real
 
-Traced frames are cached, so an interrupted sheet resumes with the next scene.
+Traced frames are cached, so an interrupted sheet resumes with the next scene. Those of a preset are
+the references of its clips.
 """
 
 from __future__ import annotations
 
 import argparse
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -19,10 +21,11 @@ from numpy import ndarray as Array
 from rich.progress import BarColumn, TaskProgressColumn, TextColumn, TimeRemainingColumn
 
 from rlbench.apps.render.fingerprint import fingerprint
-from rlbench.apps.render.jobs.render_clips import scene_of_clip
+from rlbench.apps.render.jobs.render_clips import render_preset_clips, scene_of_clip
 from rlbench.apps.render.mitsuba.open_tracer import open_tracer
 from rlbench.apps.render.scene import Scene
 from rlbench.clips.presets import TEST_SCENES
+from rlbench.clips.stored import open_clip
 from rlbench.ops.color import REC709_LUMINANCE, encode_srgb, luminance
 from rlbench.system import paths
 from rlbench.system.progress import LoggedProgress
@@ -34,26 +37,40 @@ MIDDLE_GREY_GAIN = 1 / (1 - 0.18)  # keeps middle grey, 0.18, where it is
 GAP = 4  # pixels between images
 
 
-def write_sheet(
+def trace_images(
     names: Sequence[str],
     size: int,
     spp: int,
-    out: Path,
     on_samples: Callable[[str, int], None] = lambda name, spp: None,
-) -> Path:
-    """Write a PNG with one frame of each scene, `size` x `size` pixels each, two in a row.
+) -> list[UInt8[Array, "h w 3"]]:
+    """One frame of each scene, `size` x `size` pixels.
 
     `on_samples` receives the scene's name and the samples per pixel of each launch. Raises
     LookupError for an unknown scene.
     """
-    from PIL import Image
-
     scenes = [scene_of_clip(name) for name in names]
-    images = [
+    return [
         tone_map(_cached_frame(scene, size, spp, on_samples), scene.exposure) for scene in scenes
     ]
+
+
+def read_references(folders: Iterable[Path]) -> list[UInt8[Array, "h w 3"]]:
+    """The first reference of one clip of each scene."""
+    clips = [open_clip(folder) for folder in folders]
+    firsts = {clip.scene: clip.frame(0) for clip in reversed(clips)}  # of several, the first stays
+    scenes = dict.fromkeys(clip.scene for clip in clips)
+    return [
+        tone_map(firsts[scene].reference.mean[0].movedim(0, -1).numpy(), 1.0) for scene in scenes
+    ]
+
+
+def write_sheet(images: Sequence[UInt8[Array, "h w 3"]], out: Path, columns: int = 2) -> Path:
+    """Write images of one size as a PNG, `columns` in a row."""
+    from PIL import Image
+
     with paths.atomic_write(out) as temporary:
-        Image.fromarray(tile_images(images)).save(temporary, format="png", optimize=True)
+        page = tile_images(images, columns)
+        Image.fromarray(page).save(temporary, format="png", optimize=True)
     return out
 
 
@@ -73,22 +90,22 @@ def tone_map(radiance: Float[Array, "h w 3"], exposure: float) -> UInt8[Array, "
     return np.asarray(np.round(255 * display), np.uint8)
 
 
-def tile_images(images: Sequence[UInt8[Array, "h w 3"]]) -> UInt8[Array, "H W 3"]:
-    """Images of one size, two in a row, on white."""
+def tile_images(images: Sequence[UInt8[Array, "h w 3"]], columns: int = 2) -> UInt8[Array, "H W 3"]:
+    """Images of one size, `columns` in a row, on white."""
     height, width = images[0].shape[:2]
-    rows = math.ceil(len(images) / 2)
-    columns = min(2, len(images))
+    rows = math.ceil(len(images) / columns)
     shape = (rows * (height + GAP) - GAP, columns * (width + GAP) - GAP, 3)
     page = np.full(shape, 255, np.uint8)
     for number, image in enumerate(images):
-        top, left = number // 2 * (height + GAP), number % 2 * (width + GAP)
+        row, column = divmod(number, columns)
+        top, left = row * (height + GAP), column * (width + GAP)
         page[top : top + height, left : left + width] = image
     return page
 
 
 def cut_tile(page: UInt8[Array, "H W 3"], number: int, count: int) -> UInt8[Array, "h w 3"]:
-    """Image `number`, from 0, of the `count` images that `tile_images` put on a page."""
-    rows, columns = math.ceil(count / 2), min(2, count)
+    """Image `number`, from 0, of the `count` images that `tile_images` put on a page by twos."""
+    rows, columns = math.ceil(count / 2), 2
     height = (page.shape[0] + GAP) // rows - GAP
     width = (page.shape[1] + GAP) // columns - GAP
     top, left = number // 2 * (height + GAP), number % 2 * (width + GAP)
@@ -117,10 +134,14 @@ def main(arguments: Sequence[str] | None = None) -> None:
     """Write the sheet from the command line."""
     parser = argparse.ArgumentParser(description="One frame of each scene in one PNG.")
     parser.add_argument("out", type=Path)
+    parser.add_argument("--preset", help="show references of its clips, five in a row")
     parser.add_argument("--scenes", default=",".join(TEST_SCENES), help="names a,b")
     parser.add_argument("--size", type=int, default=512, help="width and height of each image")
     parser.add_argument("--spp", type=int, default=1000)
     options = parser.parse_args(arguments)
+    if options.preset:
+        write_sheet(read_references(render_preset_clips(None, options.preset)), options.out, 5)
+        return
     names = options.scenes.split(",")
     columns = (
         TextColumn("{task.description:>10}", markup=False),
@@ -133,7 +154,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
         def on_samples(name: str, spp: int) -> None:
             bar.update(task, advance=spp, description=name)
 
-        write_sheet(names, options.size, options.spp, options.out, on_samples)
+        write_sheet(trace_images(names, options.size, options.spp, on_samples), options.out)
 
 
 if __name__ == "__main__":

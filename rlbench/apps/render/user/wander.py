@@ -22,7 +22,7 @@ from rlbench.apps.render.user import auto_exposure
 from rlbench.apps.render.user.camera_path import camera_from_matrix, matrix_from_camera
 
 WANDER_VERSION = 1  # raised whenever the same seed gives another path
-TRIES = 64  # paths drawn for one seed
+TRIES = 1024  # paths drawn for one seed
 STEPS = 4  # most segments of the walk to the beginning of a path
 CONE = 6  # rays along each side of the middle of the grid, which a segment must leave free
 NEAREST, NEAR, NEAR_SHARE = 0.04, 0.12, 0.08  # of the scale; the share of rays nearer than NEAR

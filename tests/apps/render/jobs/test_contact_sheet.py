@@ -7,6 +7,8 @@ import pytest
 from PIL import Image
 
 from rlbench.apps.render.jobs import contact_sheet
+from rlbench.clips.stored import open_clip
+from tests.conftest import write_noise
 
 
 def test_black_stays_black_and_white_is_reached():
@@ -31,19 +33,20 @@ def test_the_third_image_starts_the_second_row():
     assert (page[3 + contact_sheet.GAP :, 5:] == 255).all()
 
 
-@pytest.fixture(scope="module")
-def sheet_options(tmp_path_factory):
-    """Scene, size and spp of a sheet, in a cache of its own."""
-    folder = tmp_path_factory.mktemp("contact")
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(contact_sheet.paths, "cache_folder", lambda: folder)
-        yield (["temple", "temple"], 16, 2, folder / "sheet.png")
-
-
 @pytest.mark.slow
-def test_a_second_sheet_traces_nothing_and_is_the_same(sheet_options, monkeypatch):
-    first = Image.open(contact_sheet.write_sheet(*sheet_options)).tobytes()
+def test_a_second_sheet_traces_nothing_and_is_the_same(tmp_path, monkeypatch):
+    monkeypatch.setattr(contact_sheet.paths, "cache_folder", lambda: tmp_path)
+    sheet = ["temple", "temple"], 16, 2
+    first = contact_sheet.trace_images(*sheet)
     monkeypatch.setattr(contact_sheet, "open_tracer", None)
-    second = Image.open(contact_sheet.write_sheet(*sheet_options))
-    assert second.size == (32 + contact_sheet.GAP, 16)
-    assert second.tobytes() == first
+    assert np.array_equal(contact_sheet.trace_images(*sheet), first)
+
+
+def test_a_sheet_of_clips_shows_the_first_reference_of_each_scene(tmp_path):
+    clips = [write_noise(tmp_path / name, name[:4]) for name in ("room-000", "hill-0", "room-1")]
+    images = contact_sheet.read_references(clips)
+    for image, clip in zip(images, clips[:2], strict=True):
+        first = open_clip(clip).frame(0).reference.mean[0].movedim(0, -1).numpy()
+        assert np.array_equal(image, contact_sheet.tone_map(first, 1.0))
+    page = Image.open(contact_sheet.write_sheet(images, tmp_path / "sheet.png", columns=5))
+    assert page.size == (5 * (24 + contact_sheet.GAP) - contact_sheet.GAP, 20)
