@@ -26,8 +26,7 @@ REAL_SCENES = (
     "shanghai",  # outdoors, most of it sky and plain colours
     "snowy-hut",  # one object in front of the sky, normal maps, a lit window
 )
-REAL_LARGE = tuple(f"{name}-000" for name in REAL_SCENES)
-REAL = REAL_LARGE + tuple(f"{name}-001" for name in REAL_SCENES)
+REAL = tuple(f"{name}-{seed:03d}" for seed in range(2) for name in REAL_SCENES)
 REAL_CHECK = ("dining-room", "bathroom2", "staircase", "veach-bidir")
 # a scene that no training sees, and other paths in two that it sees
 REAL_DEVELOPMENT = (
@@ -220,10 +219,10 @@ _ROWS = (
     Preset("development",
            "decisions while developing: generated scenes, neither trained on nor reported",
            (160, 160), 5, 64, (), tuple(range(40, 56)), uses=("decide",)),
-    Preset("real", "scenes by others, complete: reported, never decided on (rlbench scenes)",
+    Preset("real", "scenes by others, two random paths in each: reported, never decided on",
            (192, 192), 8, 32, REAL, min_noise_ceiling_db=31.0, max_reference_rounds=8),
-    Preset("real-640x360", "the same at the size of a real frame: one path in each scene",
-           (360, 640), 8, 32, REAL_LARGE, min_noise_ceiling_db=31.0, max_reference_rounds=8),
+    Preset("real-640x360", "the same scenes from their own cameras, at the size of a real frame",
+           (360, 640), 8, 32, REAL_SCENES, min_noise_ceiling_db=31.0, max_reference_rounds=8),
     Preset("real-check", "further scenes by others, for a last check",
            (192, 192), 8, 32, REAL_CHECK, min_noise_ceiling_db=31.0, max_reference_rounds=8),
     # of the scenes of these two presets, files may be missing
