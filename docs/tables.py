@@ -6,6 +6,7 @@ A table stands between `<!-- table: SOURCE -->` and `<!-- /table -->`. SOURCE is
 - `families`: every family, its paper and its licence
 - `rows PATTERN,...`: rows such as `ours/latent*`, their questions and weights
 - `scores ROW,...`: PSNR of rows on `mini` and on `real`, at 192x192 and 640x360, and a frame's time
+- `scenes PRESET`: the scenes by others of a preset, their authors, and what each has
 - `denoise`: what `rlbench denoise` gives, from `results/denoise.csv` (`docs/measure_denoise.py`)
 """
 
@@ -19,6 +20,7 @@ from functools import cache
 from pathlib import Path
 
 from rlbench import registry
+from rlbench.apps.render.scenes.collection.catalog import load_catalog
 from rlbench.benchmark.listing import MethodFacts, method_facts
 from rlbench.weights import ModelCard
 
@@ -49,6 +51,8 @@ def _make_table(source: str) -> str:
         return _format(_list_denoised())
     if kind == "rows":
         return _format(_list_rows(names.split(",")))
+    if kind == "scenes":
+        return _format(_list_scenes(names))
     if kind == "scores":
         return _format(_list_scores(names.split(",")))
     page, _, heading = source.partition("#")
@@ -130,6 +134,16 @@ def _read_frame_times() -> dict[str, str]:
         for each in times
         if each["target spp"] == "1"
     }
+
+
+def _list_scenes(preset: str) -> list[list[str]]:
+    """A line for each scene by others of a preset."""
+    rows = [["scene", "title, author, licence", "what it has"], ["---"] * 3]
+    for scene in load_catalog().values():
+        if preset in scene.presets:
+            title = f"[{scene.title}]({scene.source}), {scene.author}, {scene.licence}"
+            rows.append([f"`{scene.name}`", title, scene.shows])
+    return rows
 
 
 def _list_denoised() -> list[list[str]]:

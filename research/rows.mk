@@ -33,8 +33,9 @@ RIVALS := ours,ours/A1,ours/A2,ours/latent,ours/latent-A2,oidn/tuned,oidn-intel,
 BY_OTHERS := mean,ours,ours/A1,ours/A2,ours/latent,ours/latent-A2,ours/latent-by-rule,ours/paper,oidn,oidn-intel,oidn/tuned,oidn/half,dasr,$(RULES),$(PUBLISHED)
 EIGHT := accumulate/tuned,ours/by-rule,ours/A2,ours,oidn,oidn/tuned,accumulate/contrast,nppd
 
-# rows that are compared at two sizes
+# rows that are compared at two sizes, and the clips of preset `real` at 640x360
 SIZED := ours,ours/A2,ours/paper,accumulate/tuned,accumulate/fast,accumulate/contrast,oidn,oidn/tuned,nppd,svgf
+OWN_CAMERAS := living-room,classroom,staircase2,veach-mis,cornell_box_picture,isometric-room,office-room,low-poly-jungle-scene,shanghai,snowy-hut
 
 # rows of the page of takes
 TAKES := $(RIVALS),ours/lag,$(PUBLISHED)

@@ -47,6 +47,7 @@ class CollectionScene:
     author: str
     licence: str  # a key of LICENCES, or words
     source: str  # address of the original
+    shows: str = ""  # what it has that others lack
     repository: str = ""  # OWNER/REPOSITORY on GitHub
     commit: str = ""  # 40 hex digits
     folder: str = ""  # in the repository
