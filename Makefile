@@ -120,7 +120,7 @@ real: .venv/dev.stamp
 	$(call page,ablation -m '$(CLAIMED)',$(RESULTS)/real,ablation-real)
 	$(BIN)/rlbench images -m '$(PAINTED)' --preset real --scenes living-room,staircase2 --out $(RESULTS)/real-images
 	mkdir -p docs/made
-	$(BIN)/python -m rlbench.apps.render.jobs.contact_sheet docs/results/real-scenes.png --preset real
+	$(BIN)/python -m rlbench.apps.render.jobs.contact_sheet docs/made/real-scenes.png --preset real
 	set -e; for clip in living-room staircase2; do cp $(RESULTS)/real-images/$$clip-1spp-??.png docs/made/real-$$clip.png; done
 	$(BIN)/rlbench report real -m '$(BY_OTHERS)' --results $(RESULTS)/real --against $(RESULTS)/mini,$(RESULTS)/development,$(RESULTS)/real-development --out docs/made
 	mv docs/made/real.md docs/made/real-*.png docs/results && rm -r docs/made

@@ -65,6 +65,16 @@ def train(
     ] = None,
     size: options.Size = None,
     seeds: options.SceneSeeds = None,
+    render_ahead: Annotated[
+        int,
+        option(
+            CLIPS,
+            "render this many further seeds of --preset in a second process, each of which "
+            "replaces the oldest clip; 0: none",
+            value="CLIPS",
+            min=0,
+        ),
+    ] = 0,
     mix: Annotated[
         float | None,
         option(
@@ -185,6 +195,7 @@ def train(
       rlbench train -m ours --clips my_clips/ --preset train --mix 0.7
       rlbench train -m ours --clips 'shots/*' --validate development,mine=held_out/ --keep best
       rlbench train -m ours --preset train-windows,train-hard-windows --start ours
+      rlbench train -m ours --preset train-hard --render-ahead 1000 --frames 100000
       rlbench train -m ntas --holdout hall --preset standard
       rlbench train -m ours/paper --start ours/paper-A2 --frames 20000
       rlbench train -m ours --start ours --anchor 30 --frames 30000
@@ -219,7 +230,7 @@ def train(
     runs.check(names)
     if quick:
         chosen = {"preset": preset, "seeds": seeds, "holdout": holdout, "clips": clips}
-        _refuse_other_clips(chosen | {"validate": validate})
+        _refuse_other_clips({**chosen, "validate": validate, "render-ahead": render_ahead or None})
         split = dataset.split_quick(pool_kinds(names))
     else:
         if holdout is None:
@@ -232,6 +243,7 @@ def train(
             TimeLimitedExecutor(limit),
             split_names(clips),
             split_names(validate),
+            render_ahead,
         )
     for text in filter(None, (split.remark, tensorboard_hint())):
         note(text)

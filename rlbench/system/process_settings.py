@@ -1,13 +1,16 @@
-"""Settings of this process before long work: freed memory is kept, and waiting threads sleep."""
+"""Settings of processes for long work: memory that is kept, threads that sleep, a common end."""
 
 from __future__ import annotations
 
 import ctypes
 import os
+import signal
 import sys
+from collections.abc import Callable
 
 M_TRIM_THRESHOLD, M_MMAP_THRESHOLD = -1, -3  # <malloc.h> of the GNU C library
 GIGABYTE = 2**30
+PR_SET_PDEATHSIG = 1  # linux/prctl.h
 
 
 def keep_freed_memory() -> bool:
@@ -37,3 +40,19 @@ def wait_asleep() -> None:
     the environment variable OMP_WAIT_POLICY stays.
     """
     os.environ.setdefault("OMP_WAIT_POLICY", "passive")
+
+
+def end_with_parent() -> Callable[[], None]:
+    """For `preexec_fn` of a process started here: it ends with this one, also after kill -9.
+
+    Elsewhere than on Linux it goes on.
+    """
+    parent, libc = os.getpid(), ctypes.CDLL(None)
+
+    def follow() -> None:
+        if sys.platform == "linux":
+            libc.prctl(PR_SET_PDEATHSIG, signal.SIGKILL)
+        if os.getppid() != parent:  # it ended before
+            os._exit(1)
+
+    return follow

@@ -12,6 +12,7 @@ from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
+from typing import Protocol
 
 import torch
 from torch import Tensor
@@ -139,18 +140,33 @@ class Batches:
     @cached_property
     def stored_clips(self) -> tuple[StoredClip, ...]:
         """All clips in order, first those that are not mixed in; opened once."""
-        inputs = self.inputs | TRAINING_INPUTS
-        return tuple(
-            open_clip(folder, inputs, pool=self.pool, device=self.device)
-            for folder in (*self.clips, *self.mixed_in)
-        )
+        return tuple(map(self._open, (*self.clips, *self.mixed_in)))
 
     @cached_property
     def _sources(self) -> tuple[StoredClip | ResidentClip, ...]:
         """What crops are cut from: copies in the memory of a GPU, or the files."""
-        if torch.device(self.device).type != "cuda":
-            return self.stored_clips
-        return tuple(map(ResidentClip.load, self.stored_clips))
+        return tuple(map(self._load, self.stored_clips))
+
+    def _open(self, folder: Path) -> StoredClip:
+        inputs = self.inputs | TRAINING_INPUTS
+        return open_clip(folder, inputs, pool=self.pool, device=self.device)
+
+    def _load(self, clip: StoredClip) -> StoredClip | ResidentClip:
+        is_on_gpu = torch.device(self.device).type == "cuda"
+        return ResidentClip.load(clip) if is_on_gpu else clip
+
+    def with_clips(self, clips: Sequence[Path]) -> Batches:
+        """These batches with other `clips`; those that stay are not read again."""
+        folders = (*self.clips, *self.mixed_in)
+        opened = dict(zip(folders, zip(self.stored_clips, self._sources, strict=True), strict=True))
+        for folder in set(clips) - set(opened):
+            clip = self._open(folder)
+            opened[folder] = clip, self._load(clip)
+        renewed = replace(self, clips=clips)
+        kept = [opened[folder] for folder in (*clips, *self.mixed_in)]
+        stored, sources = zip(*kept, strict=True)
+        vars(renewed).update(stored_clips=stored, _sources=sources)
+        return renewed
 
     def clip_digests(self) -> list[str]:
         """Name and hash of each clip, for model cards and checkpoints."""
@@ -324,9 +340,16 @@ def sequence_budget(clip: InMemoryClip, budgets: Sequence[float], seed: int, ind
     return min(sample_budget(budgets, seed, index), float(pool.radiance.shape[1]))
 
 
+class SequenceSource(Protocol):
+    """What `prefetch` reads from."""
+
+    def sequence(self, index: int) -> InMemoryClip:
+        """The crops of a sequence."""
+
+
 @contextmanager
-def prefetch(batches: Batches) -> Iterator[Callable[[int], InMemoryClip]]:
-    """`Batches.sequence`, with the next sequence read in a thread of its own.
+def prefetch(batches: SequenceSource) -> Iterator[Callable[[int], InMemoryClip]]:
+    """`batches.sequence`, with the next sequence read in a thread of its own.
 
     The sequences are the same as without. An error while reading a sequence is raised when that
     sequence is requested.

@@ -253,10 +253,12 @@ def save_weights(
     command: str,
     remark: str,
     validation: Mapping[str, str],
+    further: Sequence[str] = (),
 ) -> None:
     """Write the kept averaged weights and their model card, whose note begins with the remark.
 
-    `validation` describes the clips of each validation set, for the card.
+    `validation` describes the clips of each validation set, for the card; `further` are name and
+    hash of the clips that were trained on beside the first ones.
     """
     task, config = state.task, state.config
     extra = {"spp": config.spp or task.spp, "max_lr": task.max_lr, "validation": validation}
@@ -268,7 +270,7 @@ def save_weights(
         kept = (
             f"kept: {config.keep}, {psnr:.2f} dB after {kept_at} of {progress.frames_seen} frames"
         )
-    data = progress.config["data"]
+    data = [*progress.config["data"], *further]
     card = weights.ModelCard(
         name=method,
         data=tuple(data if len(data) <= MAX_DIGESTS else (c.rpartition(" ")[0] for c in data)),

@@ -28,6 +28,7 @@ from rlbench.family import Traits
 from rlbench.registry.near_names import unknown_name
 from rlbench.system import paths
 from rlbench.training.batches import TRAINING_INPUTS, BatchError
+from rlbench.training.render_ahead import FurtherClips
 
 if TYPE_CHECKING:
     from rlbench.parallel.executor import Executor
@@ -53,6 +54,7 @@ class TrainingSplit(NamedTuple):
     validation: Mapping[str, Sequence[Path]]  # sets of clips by name, each with a mean of its own
     remark: str = ""  # what users of the weights should know, for their model card
     mixed_in: Sequence[Path] = ()  # clips that are drawn with the share `TrainingConfig.mix`
+    further: FurtherClips | None = None  # that replace those of `train`, one after the other
 
     @property
     def summary(self) -> str:
@@ -77,6 +79,7 @@ def select_split(
     executor: Executor | None = None,
     clips: Sequence[str] = (),
     validate: Sequence[str] = (),
+    render_ahead: int = 0,
 ) -> TrainingSplit:
     """The clips that the options --preset, --seeds, --holdout, --clips and --validate select.
 
@@ -84,14 +87,18 @@ def select_split(
     a user's clips, which train alone, or are mixed in where a preset or seeds are given too.
     `validate` names validation sets as `select_validation` does; otherwise the first and the middle
     clip of each preset validate, and every eighth of the user's. Clips get the sample pools named
-    in `pool_kinds`; `executor` renders missing clips.
+    in `pool_kinds`; `executor` renders missing clips. `render_ahead` clips of the preset are
+    rendered while it trains.
 
     Raises OptionError if the options contradict each other, and as `split_generated`,
-    `split_holdout`, `find_own_clips` and `select_validation` do.
+    `split_holdout`, `find_own_clips`, `select_validation` and `FurtherClips` do.
     """
+    further = FurtherClips(preset or "train", render_ahead) if render_ahead else None
     render = partial(render_preset_clips, pool_kinds=pool_kinds, executor=executor)
     if held_out_scene is None:
-        return _select(preset, seeds, render, clips, validate)
+        return _select(preset, seeds, render, clips, validate)._replace(further=further)
+    if further:
+        raise OptionError("--render-ahead renders generated scenes, and --holdout trains on others")
     if seeds is not None:
         raise OptionError(
             "--seeds applies to generated scenes only. With --holdout, training uses the other "

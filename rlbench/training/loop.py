@@ -33,6 +33,7 @@ from rlbench.training.checkpoint import (
     start_from,
 )
 from rlbench.training.dataset import TrainingSplit
+from rlbench.training.render_ahead import FurtherClips, renew
 from rlbench.training.run_folder import CHECKPOINT, TrainingLogger, run_folder, weights_path
 from rlbench.training.task import TrainingConfig, TrainingError, TrainingTask
 from rlbench.training.train_state import NonFiniteStepError, TrainState, ValidationResult
@@ -68,13 +69,15 @@ def train(
     remark: str = "",
     mixed_in: Sequence[Path] = (),
     start: Path | None = None,
+    further: FurtherClips | None = None,
 ) -> TrainingResult:
     """Train a method on clip folders, and write its weights and model card to `out`.
 
     `validation_clips` may be several sets by name, each with a curve of its own. The share
-    `config.mix` of the crops is from `mixed_in`. Budgets are limited to the stored samples of a
-    clip; a warning and the card say for which clips. A new run starts from the tensors of the
-    weights file `start` that fit; the card's `origin` names it.
+    `config.mix` of the crops is from `mixed_in`. `further` clips are rendered by a second process
+    and replace the first of `train_clips`, one after the other. Budgets are limited to the stored
+    samples of a clip; a warning and the card say for which clips. A new run starts from the tensors
+    of the weights file `start` that fit; the card's `origin` names it.
 
     While it runs, `out` gets checkpoint.safetensors, log.jsonl, status.json and, if TensorBoard is
     installed, its event files; at the end of the config, or after `minutes`, NAME.safetensors
@@ -106,7 +109,11 @@ def train(
     limits = _describe_small_pools(method, batches, config.spp or task.spp)
     described = {name: _describe(clips, batches.pool) for name, clips in sets.items()}
     requested = {"method": method, **config.to_dict(), "data": batches.clip_digests()}
-    chosen = {"validation": config.keeps_best and described, "start": start and task.origin}
+    chosen = {
+        "validation": config.keeps_best and described,
+        "start": start and task.origin,
+        "render_ahead": further and f"{further.preset} {further.count}",
+    }
     requested |= {name: value for name, value in chosen.items() if value}
     progress = _start_or_resume(state, out / CHECKPOINT, requested, allow_config_change)
     result = TrainingResult(weights_path(method, out), progress)
@@ -114,7 +121,11 @@ def train(
         return result
     began = time.monotonic() - progress.seconds
     stop, next_status, loss = time.monotonic() + 60 * minutes, 0.0, math.nan
-    with prefetch(batches) as sequence, closing(TrainingLogger(out, progress.frames_seen)) as log:
+    with (
+        renew(batches, further, config, out) as source,
+        prefetch(source) as sequence,
+        closing(TrainingLogger(out, progress.frames_seen)) as log,
+    ):
         while progress.fraction_done < 1 and time.monotonic() < stop:
             intervals, started = progress.frames_seen // config.eval_interval, time.monotonic()
             learning_rate = task.max_lr * config.lr_factor(progress.fraction_done)
@@ -134,8 +145,8 @@ def train(
             on_progress(progress, loss)
         log.write_status(progress, loss)
     checkpoint.write(out / CHECKPOINT, state.state_dict(), asdict(progress))
-    note = "; ".join(filter(None, (remark, limits)))
-    save_weights(method, result.weights, state, progress, command, note, described)
+    note, drawn = "; ".join(filter(None, (remark, limits))), source.digests(progress.sequences)
+    save_weights(method, result.weights, state, progress, command, note, described, drawn)
     return result
 
 
@@ -319,6 +330,7 @@ class TrainingRuns:
                 remark=split.remark,
                 mixed_in=split.mixed_in,
                 start=self.start,
+                further=split.further,
             )
         return result.weights
 

@@ -22,7 +22,6 @@ was killed goes on where it was. Imports no torch.
 
 from __future__ import annotations
 
-import ctypes
 import fcntl
 import math
 import os
@@ -44,15 +43,13 @@ from rlbench.parallel.executor import TimeLimit
 from rlbench.registry.near_names import unknown_name
 from rlbench.system import documents
 from rlbench.system.folder_lock import locked_folder
+from rlbench.system.process_settings import end_with_parent
 
 OUTPUT = "output.log"  # what a training prints
 BEGINNING, ENDING = "$ rlbench train ", re.compile(r"(exit code|signal) \d+")  # of an attempt
 POLL_S = 0.25
 OWN_KEYS = ("method", "name", "after")  # of an entry; the others are options of the command
-PR_SET_PDEATHSIG = 1  # linux/prctl.h
 THREADS = {name: "1" for name in ("OMP_NUM_THREADS", "MKL_NUM_THREADS", "OPENBLAS_NUM_THREADS")}
-
-LIBC = ctypes.CDLL(None)
 
 State = Literal["waiting", "running", "done", "failed"]
 
@@ -215,15 +212,8 @@ def _start(training: Training) -> subprocess.Popen[bytes]:
             stderr=subprocess.STDOUT,
             env=os.environ | THREADS,
             start_new_session=True,  # Ctrl-C in a terminal reaches the queue alone
-            preexec_fn=partial(_end_with, os.getpid()),
+            preexec_fn=end_with_parent(),
         )
-
-
-def _end_with(queue: int) -> None:
-    """Let this new process end when its queue does, also after kill -9."""
-    LIBC.prctl(PR_SET_PDEATHSIG, signal.SIGKILL)
-    if os.getppid() != queue:  # it ended before
-        os._exit(1)
 
 
 def _end(training: Training, code: int) -> str:
