@@ -197,6 +197,9 @@ _ROWS = (
            min_noise_ceiling_db=30.0, max_reference_rounds=4, pools=PATH_AND_RESTIR),
     # main takes only, as in the paper: a clip has 10^10 paths, three hours on two cores
     Preset("paper", "the paper's protocol: 1000 spp references", (720, 720), 20, 500),
+    # up to 10^9 paths a frame: two cores take a quarter of an hour for it
+    Preset("hd", "a GPU: frames of 1080p; of other presets by --size 1920x1080",
+           (1080, 1920), 8, 32, min_noise_ceiling_db=31.0, max_reference_rounds=8),
     Preset("train", "training: generated scenes", (160, 160), 5, 64, (), tuple(range(28)),
            uses=("train", "decide"), pools=PATH_AND_RESTIR),
     # halves of 32 spp: a noise ceiling of 33 dB, for 150 scenes in the time of 50
