@@ -9,9 +9,11 @@ from rlbench import registry
 from rlbench.checks.conformance import MethodUnderTest, Verdict, run_checks
 from rlbench.frames import Size
 
-SAME_CODE = {  # training or weights alone tell them from another row; here, weights are random
-    *("accumulate/intel", "accumulate/tuned", "oidn/retrained", "oidn/tuned", "ours/A1"),
-    *("ours/latent-A1", "ours/latent-initial", "ours/paper-A1", "ours/paper-appo"),
+SAME_CODE = {  # training, constants or parts of another row alone tell them from one that is tested
+    *("accumulate/intel", "accumulate/tuned", "accumulate/fast", "cross/contrast", "cross/restir"),
+    *("oidn/retrained", "oidn/tuned", "oidn-intel/balanced", "oidn-intel/fast", "oidn-intel/clean"),
+    *("ours/A1", "ours/latent-A1", "ours/latent-initial", "ours/latent-small", "svgf/falcor"),
+    *("ours/paper-A1", "ours/paper-appo"),
 }
 METHODS = [
     name
