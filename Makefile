@@ -31,7 +31,7 @@ SPP := 1000
 HD := hd
 GPU := cuda
 
-.PHONY: demo docs tables baseline table1 viewer unseen speed gpu hd metric-speed overhead takes regressions real large recovery gradients stress training campaign contact teaser switched videos site test test-apps test-all lowest format clean
+.PHONY: demo docs tables baseline table1 viewer unseen speed gpu hd metric-speed overhead takes regressions real large recovery drift gradients stress training campaign contact teaser switched videos site test test-apps test-all lowest format clean
 
 demo: .venv/run.stamp
 	$(BIN)/rlbench run --preset mini --keep-images --out $(RESULTS)
@@ -156,6 +156,11 @@ recovery: .venv/dev.stamp
 	$(BIN)/rlbench run -m '$(RECOVERING)' --preset takes --scenes city-cut,hall-cut,ripples-cut,temple-cut --spp 1 --times none --out $(RESULTS)/recovery
 	$(BIN)/rlbench report recovery --results $(RESULTS)/recovery --out docs/made
 	mv docs/made/recovery.md docs/made/recovery.png docs/results && rm -r docs/made
+
+# does a memory gather errors over 24 frames: 5 minutes of rendering, 5 of scoring
+drift: .venv/dev.stamp
+	$(BIN)/rlbench run -m '$(CARRYING)' --preset development-long --spp 1,4 --times none --out $(RESULTS)/drift
+	$(call page,summary,$(RESULTS)/drift,drift)
 
 # the picture of the viewer in the README; needs Chromium
 viewer: .venv/dev.stamp

@@ -43,6 +43,9 @@ TAKES := $(RIVALS),ours/lag,$(PUBLISHED)
 # rows with a memory, with and without a test of their history, and two without
 RECOVERING := ours,ours/lag,ours/latent,accumulate/contrast,accumulate/tuned,oidn/tuned,oidn-intel,imcd,imcd/history,ntas,ntas/history,nppd,nppd/history,svgf,bmfr
 
+# rows that carry something from frame to frame
+CARRYING := ours,ours/latent,ours/paper,accumulate/tuned,accumulate/fast,accumulate/contrast,ntas,ntas/history,imcd/history,nppd,nppd/history,svgf,bmfr,cross,eaw/still
+
 # rows whose images of scenes by others are shown
 PAINTED := accumulate/contrast,oidn,ours,accumulate/tuned
 

@@ -223,6 +223,8 @@ _ROWS = (
     Preset("real-development", "decisions: random paths in scenes by others (rlbench scenes)",
            (160, 160), 8, 32, REAL_DEVELOPMENT, uses=("decide",),
            min_noise_ceiling_db=29.0, max_reference_rounds=4),
+    Preset("development-long", "decisions on shots: does a memory gather errors (drift)?",
+           (160, 160), 24, 64, (), tuple(range(52, 56)), uses=("decide",)),
     Preset("development-640x360", "decisions at the size of a real frame, with motion of users",
            (360, 640), 8, 32, (), tuple(range(40, 48)), uses=("decide",), speeds=SPEEDS,
            min_noise_ceiling_db=29.0, max_reference_rounds=4),
