@@ -131,7 +131,6 @@ real: .venv/dev.stamp
 	$(call page,ablation -m '$(CLAIMED)',$(RESULTS)/real,ablation-real)
 	$(BIN)/rlbench images -m '$(PAINTED)' --preset real --scenes living-room,staircase2 --out $(RESULTS)/real-images
 	mkdir -p docs/made
-	$(BIN)/python -m rlbench.apps.render.jobs.contact_sheet docs/made/real-scenes.png --preset real
 	set -e; for clip in living-room staircase2; do cp $(RESULTS)/real-images/$$clip-1spp-??.png docs/made/real-$$clip.png; done
 	$(BIN)/rlbench report real -m '$(BY_OTHERS)' --results $(RESULTS)/real --against $(RESULTS)/mini,$(RESULTS)/development,$(RESULTS)/real-development --out docs/made
 	mv docs/made/real.md docs/made/real-*.png docs/results && rm -r docs/made
@@ -145,6 +144,7 @@ large: .venv/dev.stamp
 	  $(BIN)/rlbench report real -m '$(SIZED)' --results $(RESULTS)/large/$$preset-640x360 --out docs/made \
 	    --against $(RESULTS)/large/mini-192x192,$(RESULTS)/large/real-192x192 && \
 	  mv docs/made/real.md docs/results/$$preset-640x360.md && rm -r docs/made || exit 1; done
+	$(BIN)/python -m rlbench.apps.render.jobs.contact_sheet docs/results/real-scenes.png --preset real-640x360 --shrink 2
 	$(BIN)/rlbench run -m '$(README)' --preset mini --size 640x360 --spp 0.5,1,2,4 --out $(RESULTS)/large/times
 	$(call page,summary -m '$(README)',$(RESULTS)/large/times,mini-640x360-times)
 	set -e; for name in pareto winners; do \

@@ -1,7 +1,8 @@
 """Contact sheet: one frame of each test scene, or of each scene of a preset, side by side.
 
     python -m rlbench.apps.render.jobs.contact_sheet docs/results/scenes.png --spp 1000 --size 512
-    python -m rlbench.apps.render.jobs.contact_sheet docs/results/real-scenes.png --preset real
+    python -m rlbench.apps.render.jobs.contact_sheet docs/results/real-scenes.png \
+        --preset real-640x360 --shrink 2
 
 Traced frames are cached, so an interrupted sheet resumes with the next scene. Those of a preset are
 the references of its clips.
@@ -16,6 +17,7 @@ from pathlib import Path
 
 import numpy as np
 import torch
+import torch.nn.functional as F
 from jaxtyping import Float, UInt8
 from numpy import ndarray as Array
 from rich.progress import BarColumn, TaskProgressColumn, TextColumn, TimeRemainingColumn
@@ -54,14 +56,13 @@ def trace_images(
     ]
 
 
-def read_references(folders: Iterable[Path]) -> list[UInt8[Array, "h w 3"]]:
-    """The first reference of one clip of each scene."""
+def read_references(folders: Iterable[Path], shrink: int = 1) -> list[UInt8[Array, "h w 3"]]:
+    """The first reference of one clip of each scene; `shrink` pixels in a row become one."""
     clips = [open_clip(folder) for folder in folders]
     firsts = {clip.scene: clip.frame(0) for clip in reversed(clips)}  # of several, the first stays
     scenes = dict.fromkeys(clip.scene for clip in clips)
-    return [
-        tone_map(firsts[scene].reference.mean[0].movedim(0, -1).numpy(), 1.0) for scene in scenes
-    ]
+    means = [F.avg_pool2d(firsts[scene].reference.mean, shrink) for scene in scenes]
+    return [tone_map(mean[0].movedim(0, -1).numpy(), 1.0) for mean in means]
 
 
 def write_sheet(images: Sequence[UInt8[Array, "h w 3"]], out: Path, columns: int = 2) -> Path:
@@ -135,12 +136,14 @@ def main(arguments: Sequence[str] | None = None) -> None:
     parser = argparse.ArgumentParser(description="One frame of each scene in one PNG.")
     parser.add_argument("out", type=Path)
     parser.add_argument("--preset", help="show references of its clips, five in a row")
+    parser.add_argument("--shrink", type=int, default=1, help="show means of so many pixels a side")
     parser.add_argument("--scenes", default=",".join(TEST_SCENES), help="names a,b")
     parser.add_argument("--size", type=int, default=512, help="width and height of each image")
     parser.add_argument("--spp", type=int, default=1000)
     options = parser.parse_args(arguments)
     if options.preset:
-        write_sheet(read_references(render_preset_clips(None, options.preset)), options.out, 5)
+        folders = render_preset_clips(None, options.preset)
+        write_sheet(read_references(folders, options.shrink), options.out, 5)
         return
     names = options.scenes.split(",")
     columns = (
