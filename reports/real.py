@@ -107,6 +107,7 @@ def _compare_orders(
     `convention`, other_gap and so on that on `other`. `is_resolved`: both intervals exclude zero.
     """
     for each in scores:
+        own = ", ".join(sorted(set(each.rows["preset"])))
         for preset, table in others.items():
             other = Scores(table, each.metric)
             keys = ["method", "target_spp"]
@@ -115,7 +116,7 @@ def _compare_orders(
             )
             if other.measured.empty or means.empty:
                 continue
-            named = {"convention": PRESET, "other": preset}
+            named = {"convention": own, "other": preset}
             taus, swaps = [], []
             for spp, part in means.groupby("target_spp"):
                 both = part["value"], part["value_other"]

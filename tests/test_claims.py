@@ -102,7 +102,7 @@ def check_lead_at_640x360() -> None:
 
 def check_first_frame_at_640x360() -> None:
     title = "PSNR of the first frame of each clip [dB], mean over scenes"
-    assert round(measure_lead("real-640x360.md", title, "ours", "oidn"), 1) == -0.5
+    assert round(measure_lead("real-640x360.md", title, "ours", "oidn"), 1) == -0.6
 
 
 def check_none_is_resolved_from_the_best() -> None:
@@ -124,7 +124,7 @@ CLAIMS: dict[str, Callable[[], None]] = {
     "at 640x360, `ours` leads `oidn` by 1.1 dB on `mini` and 0.8 dB on `real` at 1 spp": (
         check_lead_at_640x360
     ),
-    "On first frames of `real` it is 0.5 dB behind": check_first_frame_at_640x360,
+    "On first frames of `real` it is 0.6 dB behind": check_first_frame_at_640x360,
     "`ours/by-rule` and `accumulate/tuned`, tie with `ours` at 1, 2 and 4 spp": (
         check_other_rules_tie
     ),
