@@ -44,7 +44,8 @@ def render(
         Path | None,
         typer.Argument(
             metavar="FILE",
-            help="a scene of your own: .xml (Mitsuba), .py, .gltf, .glb, .blend, .usd, .fbx, .obj",
+            help="a scene of your own: .xml (Mitsuba), .py, .gltf, .glb, .blend, .usd, .fbx, .obj; "
+            "or the name of one by others (rlbench scenes)",
         ),
     ] = None,
     preset: options.Preset = "mini",
@@ -198,7 +199,10 @@ def render(
       rlbench render mine.py --camera path.json --out clips/mine
       rlbench render room.glb --camera wander --sky 1
       rlbench render atrium.blend --frames 20 -D max_bounces=6
+      rlbench render classroom --camera wander -D max_depth=5
     """
+    if file is not None and not file.exists():
+        file, sky = _find_in_collection(file, sky)
     _refuse_options_of_the_other(context, file)
     from rlbench.parallel.engines import open_executor
     from rlbench.system.paths import cache_folder, check_writable
@@ -241,11 +245,25 @@ def render(
             typer.echo(_render_clip(clip, get_preset(preset, size), tracer, executor))
 
 
+def _find_in_collection(name: Path, sky: str | None) -> tuple[Path, str | None]:
+    """The file of a scene by others, and the sky that it needs; other names stay.
+
+    Raises SceneError where the scene is not on this machine.
+    """
+    from rlbench.apps.render.scenes.collection.catalog import load_catalog, locate
+
+    if str(name) not in load_catalog():
+        return name, sky
+    located = locate(str(name))
+    return located.scene, sky or located.entry.sky
+
+
 def _refuse_options_of_the_other(context: typer.Context, file: Path | None) -> None:
     """Raise OptionError for options of scene files without one, and of presets with one."""
     if file is not None and not file.is_file():
         raise typer.BadParameter(
-            f"there is no scene file '{file}'. Scenes of a preset are named by --scenes",
+            f"there is no scene file '{file}', and `rlbench scenes` lists no such scene. Scenes of a "
+            "preset are named by --scenes",
             param_hint="'FILE'",
         )
     refuse_typed(

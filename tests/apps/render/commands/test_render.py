@@ -39,6 +39,31 @@ def test_render_hands_over_its_options(user_clips, tmp_path):
 
 
 @pytest.mark.parametrize(
+    ("name", "main", "skies"),
+    [("dining-room", "scene.xml", ("", "sun")), ("shanghai", "scene.gltf", ("1", "sun"))],
+)
+def test_a_scene_by_others_is_rendered_as_a_file(
+    user_clips, tmp_path, monkeypatch, name, main, skies
+):
+    monkeypatch.setenv("RLBENCH_SCENES", str(tmp_path))
+    monkeypatch.chdir(tmp_path / "..")
+    file = tmp_path / name / main
+    file.parent.mkdir()
+    file.touch()
+    rlbench("render", name, "-D", "width=45", "--camera", "wander")
+    rlbench("render", name, "--sky", "sun")
+    assert [options.file for options, *_ in user_clips] == [file, file]
+    assert tuple(options.sky for options, *_ in user_clips) == skies
+    assert user_clips[0][0].parameters == (("width", "45"),)
+
+
+def test_a_scene_by_others_that_is_not_here_says_how_to_get_it(tmp_path, monkeypatch):
+    monkeypatch.setenv("RLBENCH_CACHE", str(tmp_path))
+    printed = rlbench("render", "classroom", "-D", "width=45", code=2)
+    assert "run `rlbench scenes get classroom`" in " ".join(printed.split())
+
+
+@pytest.mark.parametrize(
     ("name", "words", "message"),
     [
         ("none.xml", (), "Invalid value for 'FILE'"),
