@@ -30,6 +30,8 @@ FAMILY_COLOURS = {
     "eaw": "#8C564B",
     "nppd": "#20808D",
     "accumulate": "#A03050",
+    "bmfr": "#6B8E23",
+    "cross": "#3B4CC0",
 }
 SPARE_COLOURS = (  # of families that are not listed above
     "#B8860B", "#CC79A7", "#56B4E9", "#7A4FA3", "#8C564B", "#4B8B3B", "#20808D",
@@ -81,7 +83,7 @@ def line_styles(methods: Iterable[str]) -> dict[str, LineStyle]:
     present = set(map(family_of, names))
     unlisted = sorted(present - set(FAMILY_COLOURS))
     used = {FAMILY_COLOURS.get(family) for family in present}
-    free = [color for color in SPARE_COLOURS if color not in used]
+    free = [color for color in SPARE_COLOURS if color not in used] or SPARE_COLOURS
     spare = {family: free[i % len(free)] for i, family in enumerate(unlisted)}
     order = [*FAMILY_COLOURS, *unlisted]
     families = {f: [name for name in names if family_of(name) == f] for f in present}

@@ -18,6 +18,7 @@ from reports.layout.latex import MAX_ROWS, PREAMBLE, to_latex
 from reports.layout.page import MAX_LINES, Section, write_page
 from reports.layout.style import FAMILY_COLOURS, line_styles
 from reports.layout.tables import Bold, Table, rank_rows, to_markdown
+from rlbench import registry
 
 BUDGETS = tuple(f"{spp} spp" for spp in range(6))
 CELLS = (Bold("21.50"), "9.25 [-1.00, 0.10] not resolved", "-")
@@ -122,6 +123,8 @@ def test_a_family_keeps_its_colour_and_no_two_methods_have_the_same_style():
     assert len({(style.marker, str(style.dash)) for style in many}) == 32
     families = line_styles(["ours", "ntas", "oidn", "mean", "svgf", "dasr", "imcd", "restir"])
     assert len({style.marker for style in families.values()}) == 8  # also in grey print
+    everything = line_styles([*FAMILY_COLOURS, *registry.list_plugins("methods"), "theirs", "x/y"])
+    assert len(set(everything.values())) == len(everything)  # also without a spare colour
 
 
 @pytest.mark.parametrize(

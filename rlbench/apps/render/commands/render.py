@@ -262,8 +262,8 @@ def _refuse_options_of_the_other(context: typer.Context, file: Path | None) -> N
     """Raise OptionError for options of scene files without one, and of presets with one."""
     if file is not None and not file.is_file():
         raise typer.BadParameter(
-            f"there is no scene file '{file}', and `rlbench scenes` lists no such scene. Scenes of a "
-            "preset are named by --scenes",
+            f"there is no scene file '{file}', and `rlbench scenes` lists no such scene. Scenes "
+            "of a preset are named by --scenes",
             param_hint="'FILE'",
         )
     refuse_typed(
