@@ -84,7 +84,18 @@ def calls(monkeypatch):
 def test_train_hands_over_its_options(calls, tmp_path):
     words = ("--frames", 60, "--batch", 2, "--crop", 32, "--train-spp", "1,4", "--bf16")
     words += ("--max-grad-norm", 0.5, "--seed", 3, "--minutes", 2, "--allow-config-change")
-    words += ("--device", "cpu", "--out", tmp_path, "--seeds", "0:3", "--preset", "train")
+    words += (
+        "--device",
+        "cpu",
+        "--out",
+        tmp_path,
+        "--seeds",
+        "0:3",
+        "--preset",
+        "train",
+        "--render-ahead",
+        7,
+    )
     output = rlbench("train", "-m", "oidn/retrained,oidn/retrained-small,mean", *words)
     assert "mean has nothing to train" in output
     selection, (runs, *_), _ = calls
@@ -96,7 +107,7 @@ def test_train_hands_over_its_options(calls, tmp_path):
     assert 1.9 < runs.minutes < 2
     assert runs.allow_config_change
     assert selection[:4] == ("train", (0, 1, 2), None, {"path"})
-    assert selection[5:] == ([], [])
+    assert selection[5:] == ([], [], 7)
     assert calls[1][3] is None
 
 
@@ -115,7 +126,7 @@ def test_the_defaults_of_train_are_those_of_the_config(calls):
     assert runs.minutes == math.inf
     assert not runs.allow_config_change
     assert split[:4] == (None, None, None, {"path"})
-    assert split[5:] == ([], [])
+    assert split[5:] == ([], [], 0)
 
 
 @pytest.mark.parametrize("words", [("--seeds", "3"), ("--preset", "train"), ("--holdout", "hall")])
