@@ -32,7 +32,7 @@ def _announce(page: str) -> None:
     module = importlib.util.module_from_spec(spec)
     lock, has_run = threading.RLock(), False
 
-    def run_and_find(name: str) -> Any:
+    def run() -> None:
         nonlocal has_run
         with lock:
             if not has_run:
@@ -42,11 +42,18 @@ def _announce(page: str) -> None:
                 except BaseException:
                     has_run = False
                     raise
+
+    def run_and_find(name: str) -> Any:
+        run()
         if name not in vars(module):
             raise AttributeError(f"module '{spec.name}' has no attribute '{name}'")
         return vars(module)[name]
 
-    module.__getattr__ = run_and_find
+    def run_and_list() -> list[str]:
+        run()
+        return sorted(vars(module))
+
+    module.__getattr__, module.__dir__ = run_and_find, run_and_list
     sys.modules[spec.name] = module
 
 
