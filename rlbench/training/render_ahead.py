@@ -19,7 +19,7 @@ from pathlib import Path
 
 from rlbench.clips.header import FILE
 from rlbench.clips.in_memory import InMemoryClip
-from rlbench.clips.presets import find_preset
+from rlbench.clips.presets import find_preset, get_preset
 from rlbench.clips.stored import open_clip
 from rlbench.errors import OptionError
 from rlbench.system import paths
@@ -56,10 +56,8 @@ class FurtherClips:
     @property
     def folders(self) -> list[Path]:
         """Where they lie in the cache."""
-        preset = find_preset(self.preset)
-        assert preset is not None
-        base = paths.clips_folder() / self.preset
-        return [base / name for name in preset.clip_names(seeds=self.seeds)]
+        names = get_preset(self.preset).clip_names(seeds=self.seeds)
+        return [paths.clips_folder() / self.preset / name for name in names]
 
     @contextmanager
     def rendered_beside(self, log: Path) -> Iterator[Callable[[Path], None]]:

@@ -84,18 +84,8 @@ def calls(monkeypatch):
 def test_train_hands_over_its_options(calls, tmp_path):
     words = ("--frames", 60, "--batch", 2, "--crop", 32, "--train-spp", "1,4", "--bf16")
     words += ("--max-grad-norm", 0.5, "--seed", 3, "--minutes", 2, "--allow-config-change")
-    words += (
-        "--device",
-        "cpu",
-        "--out",
-        tmp_path,
-        "--seeds",
-        "0:3",
-        "--preset",
-        "train",
-        "--render-ahead",
-        7,
-    )
+    words += ("--device", "cpu", "--out", tmp_path, "--seeds", "0:3", "--preset", "train")
+    words += ("--render-ahead", 7)
     output = rlbench("train", "-m", "oidn/retrained,oidn/retrained-small,mean", *words)
     assert "mean has nothing to train" in output
     selection, (runs, *_), _ = calls

@@ -30,7 +30,7 @@ for folder in sys.argv[1:]:
 
 
 @pytest.fixture
-def rendered(monkeypatch):
+def replace_renderer(monkeypatch):
     """A second process writes noise where the renderer would write clips."""
     words = [sys.executable, "-c", WRITE]
     monkeypatch.setattr(
@@ -73,7 +73,7 @@ def test_each_further_clip_replaces_the_oldest_one(clips, tmp_path):
 
 
 def test_a_killed_training_ends_as_an_undisturbed_one_and_its_card_names_the_clips(
-    clips, tmp_path, rendered
+    clips, tmp_path, replace_renderer
 ):
     with pytest.raises(KilledError):
         train_on(clips, tmp_path / "killed", 3)

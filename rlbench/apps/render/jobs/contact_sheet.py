@@ -94,6 +94,7 @@ def tone_map(radiance: Float[Array, "h w 3"], exposure: float) -> UInt8[Array, "
 def tile_images(images: Sequence[UInt8[Array, "h w 3"]], columns: int = 2) -> UInt8[Array, "H W 3"]:
     """Images of one size, `columns` in a row, on white."""
     height, width = images[0].shape[:2]
+    columns = min(columns, len(images))
     rows = math.ceil(len(images) / columns)
     shape = (rows * (height + GAP) - GAP, columns * (width + GAP) - GAP, 3)
     page = np.full(shape, 255, np.uint8)
@@ -106,7 +107,7 @@ def tile_images(images: Sequence[UInt8[Array, "h w 3"]], columns: int = 2) -> UI
 
 def cut_tile(page: UInt8[Array, "H W 3"], number: int, count: int) -> UInt8[Array, "h w 3"]:
     """Image `number`, from 0, of the `count` images that `tile_images` put on a page by twos."""
-    rows, columns = math.ceil(count / 2), 2
+    rows, columns = math.ceil(count / 2), min(2, count)
     height = (page.shape[0] + GAP) // rows - GAP
     width = (page.shape[1] + GAP) // columns - GAP
     top, left = number // 2 * (height + GAP), number % 2 * (width + GAP)

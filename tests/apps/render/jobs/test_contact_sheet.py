@@ -52,5 +52,10 @@ def test_a_sheet_of_clips_shows_the_first_reference_of_each_scene(tmp_path):
     first = open_clip(clips[0]).frame(0).reference.mean[0].movedim(0, -1).numpy()
     means = first.reshape(10, 2, 12, 2, 3).mean((1, 3))
     assert np.abs(small.astype(int) - contact_sheet.tone_map(means, 1.0)).max() <= 1  # rounding
-    page = Image.open(contact_sheet.write_sheet(images, tmp_path / "sheet.png", columns=5))
-    assert page.size == (5 * (24 + contact_sheet.GAP) - contact_sheet.GAP, 20)
+    page = Image.open(contact_sheet.write_sheet(3 * images, tmp_path / "sheet.png", columns=5))
+    assert page.size == (
+        5 * (24 + contact_sheet.GAP) - contact_sheet.GAP,
+        2 * 20 + contact_sheet.GAP,
+    )
+    one = Image.open(contact_sheet.write_sheet(images[:1], tmp_path / "one.png"))
+    assert one.size == (24, 20)
