@@ -31,7 +31,7 @@ SPP := 1000
 HD := hd
 GPU := cuda
 
-.PHONY: demo docs tables baseline table1 viewer unseen speed gpu hd metric-speed overhead takes regressions real large recovery drift gradients stress training campaign contact teaser switched videos site test test-apps test-all lowest format clean
+.PHONY: demo docs tables baseline table1 table1-720 viewer unseen speed gpu hd metric-speed overhead takes regressions real large recovery drift gradients stress training campaign contact teaser switched videos site test test-apps test-all lowest format clean
 
 demo: .venv/run.stamp
 	$(BIN)/rlbench run --preset mini --keep-images --out $(RESULTS)
@@ -67,6 +67,11 @@ table1: .venv/dev.stamp
 	$(BIN)/rlbench run -m '$(TABLE1)' --preset takes --takes main --spp $(BUDGETS) --out $(RESULTS)/table1
 	set -e; for report in table1 paper-pareto ablation; do $(BIN)/rlbench report $$report --results $(RESULTS)/table1 --out docs/made; done
 	cp docs/made/*.md docs/made/*.png docs/results && rm -r docs/made
+
+# the same at the paper's 720x720, 5 frames of each take: an hour of rendering, as long for scoring
+table1-720: .venv/dev.stamp
+	$(BIN)/rlbench run -m '$(TABLE1_720)' --preset takes --takes main --size 720x720 --limit-frames 5 --spp 1,4 --times none --out $(RESULTS)/table1-720
+	$(call page,table1,$(RESULTS)/table1-720,table1-720)
 
 # 48 generated scenes that no training used: who leads, and what learned memory and sampling give over rules: 11 minutes of rendering, half an hour of scoring
 unseen: .venv/dev.stamp
@@ -135,14 +140,16 @@ real: .venv/dev.stamp
 	$(BIN)/rlbench report real -m '$(BY_OTHERS)' --results $(RESULTS)/real --against $(RESULTS)/mini,$(RESULTS)/unseen,$(RESULTS)/development --out docs/made
 	mv docs/made/real.md docs/made/real-*.png docs/results && rm -r docs/made
 
-# frames of 640x360 beside those of 192x192, do both have one order of rows, and the times and figures of the README: an hour and a half of rendering, as long for scoring and timing
+# frames of 640x360 beside small ones, do both have one order of rows, and the times and figures of the README: two hours of rendering, as long for scoring and timing
 large: .venv/dev.stamp
 	set -e; for size in 192x192 640x360; do \
 	  $(BIN)/rlbench run -m '$(SIZED)' --preset mini --size $$size --spp 1,4 --times none --out $(RESULTS)/large/mini-$$size && \
 	  $(BIN)/rlbench run -m '$(SIZED)' --preset real --size $$size --scenes $(OWN_CAMERAS) --spp 1,4 --times none --out $(RESULTS)/large/real-$$size; done
-	set -e; for preset in mini real; do \
+	set -e; for size in 160x160 640x360; do \
+	  $(BIN)/rlbench run -m '$(SIZED)' --preset unseen --size $$size --scenes $(TWELVE_UNSEEN) --spp 1,4 --times none --out $(RESULTS)/large/unseen-$$size; done
+	set -e; for preset in mini real unseen; do \
 	  $(BIN)/rlbench report real -m '$(SIZED)' --results $(RESULTS)/large/$$preset-640x360 --out docs/made \
-	    --against $(RESULTS)/large/mini-192x192,$(RESULTS)/large/real-192x192 && \
+	    --against $(RESULTS)/large/mini-192x192,$(RESULTS)/large/real-192x192,$(RESULTS)/large/unseen-160x160 && \
 	  mv docs/made/real.md docs/results/$$preset-640x360.md && rm -r docs/made || exit 1; done
 	$(BIN)/python -m rlbench.apps.render.jobs.contact_sheet docs/results/real-scenes.png --preset real-640x360 --shrink 2
 	$(BIN)/rlbench run -m '$(README)' --preset mini --size 640x360 --spp 0.5,1,2,4 --out $(RESULTS)/large/times

@@ -60,6 +60,8 @@ class ModelCard:
     validation_history: tuple[tuple[int, float], ...] = ()  # (frames seen, PSNR in dB)
     # by validation set: (frames seen, PSNR in dB, PSNR of first frames in dB)
     curves: dict[str, tuple[tuple[int, float, float], ...]] = field(default_factory=dict)
+    # by validation set: PSNR of the last quarter of its clips less that of the first, in dB
+    drift: dict[str, float] = field(default_factory=dict)
     data_digest: str = ""  # of all clips together, where they are many
     kept_at: int = 0  # frames seen when the weights were these; 0 where that is not known
     trend: str = ""  # of the last validations: "rising" or "flat"; empty where that is not known

@@ -125,20 +125,22 @@ def pivot(
 
 
 def rank_rows(records: pd.DataFrame, column: str, direction: str = "higher") -> list[str]:
-    """The methods of `records`, best first at one budget: that which most have, nearest to 1 spp.
+    """The methods of `records`, best first at one budget: that nearest to 1 spp which most have.
 
     Methods without a number there come last, by name. Without a direction the order is by name.
 
     >>> table = pd.DataFrame({"method": ["a", "b"], "target_spp": [1.0, 1.0], "psnr": [20.0, 21.0]})
     >>> rank_rows(table, "psnr"), rank_rows(table, "psnr", "lower")
     (['b', 'a'], ['a', 'b'])
+    >>> rank_rows(pd.concat([table, table.assign(target_spp=2.0, method=["a", "c"])]), "psnr")
+    ['b', 'a', 'c']
     """
     names = sorted(set(records["method"]))
     known = records[records[column].notna()]
     counts = known.groupby("target_spp")["method"].nunique()
     if counts.empty or not direction:
         return names
-    budgets = [float(spp) for spp in counts.index if counts[spp] == counts.max()]
+    budgets = [float(spp) for spp in counts.index if 2 * counts[spp] > counts.max()]
     at = known[known["target_spp"] == nearest_budget(budgets)].groupby("method")[column].mean()
     sign = 1 if direction == "lower" else -1
     return sorted(names, key=lambda name: (name not in at, sign * at.get(name, 0.0), name))

@@ -46,8 +46,8 @@ def train(
         list[str] | None,
         option(
             CLIPS,
-            "clips of your own to train on, folders or patterns a,b, alone or mixed with "
-            "--preset; can be repeated",
+            "clips of your own to train on, folders, patterns or presets a,b, alone or mixed "
+            "with --preset; can be repeated",
             value="FOLDERS",
         ),
     ] = None,
@@ -69,8 +69,8 @@ def train(
         int,
         option(
             CLIPS,
-            "render this many further seeds of --preset in a second process, each of which "
-            "replaces the oldest clip; 0: none",
+            "render this many further seeds of --preset in a second process, those of several "
+            "presets in turn; each replaces the oldest clip; 0: none",
             value="CLIPS",
             min=0,
         ),
@@ -154,6 +154,25 @@ def train(
             min=0,
         ),
     ] = 0.0,
+    until_flat: Annotated[
+        float,
+        option(
+            TRAINING,
+            "go on in cycles, the first of --frames, each later one as long as all before it, "
+            "until one gains less than this on the mean over the validation sets; 0: one cycle",
+            value="DB",
+            min=0,
+        ),
+    ] = 0.0,
+    most_frames: Annotated[
+        int,
+        option(
+            TRAINING,
+            "crops beyond which --until-flat begins no further cycle",
+            value="FRAMES",
+            min=1,
+        ),
+    ] = TrainingConfig.most_frames,
     restart: Annotated[
         bool,
         flag(
@@ -199,6 +218,7 @@ def train(
       rlbench train -m ntas --holdout hall --preset standard
       rlbench train -m ours/paper --start ours/paper-A2 --frames 20000
       rlbench train -m ours --start ours --anchor 30 --frames 30000
+      rlbench train -m nppd --frames 20000 --until-flat 0.05
       rlbench train --queue research/campaign.toml --out runs/campaign
       rlbench train --queue research/campaign.toml --out runs/campaign --status
     """
@@ -257,19 +277,19 @@ def train(
             typer.echo(f"{name}: the old run is now in {archived}")
         weights = runs.train(name, split, holdout)
         typer.echo(f"{name}: {folder}")
-        _say_if_stopped(name, weights, config.frames, minutes)
+        _say_if_stopped(name, folder, minutes)
         _name_next_command(name, weights, plugin)
 
 
-def _say_if_stopped(name: str, weights: Path, frames: int, minutes: float | None) -> None:
+def _say_if_stopped(name: str, folder: Path, minutes: float | None) -> None:
     """Say that the time of a training ended before its crops, and how to go on."""
-    from rlbench.weights import read_card
+    from rlbench.training.run_folder import read_state
 
-    seen = read_card(weights).frames_seen if weights.is_file() else 0
-    if minutes is not None and seen < frames:
+    state = read_state(folder)
+    if minutes is not None and state.frames_seen < state.frames:
         note(
-            f"{name}: stopped after --minutes {minutes:g} with {seen} of {frames} crops; the same "
-            "command goes on from there"
+            f"{name}: stopped after --minutes {minutes:g} with {state.frames_seen} of "
+            f"{state.frames} crops; the same command goes on from there"
         )
 
 

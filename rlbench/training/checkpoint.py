@@ -20,7 +20,7 @@ from rlbench import weights
 from rlbench.errors import RlbenchError
 from rlbench.method import config_json
 from rlbench.system import documents, paths, provenance
-from rlbench.training.task import TrainingError, TrainingTask
+from rlbench.training.task import TrainingConfig, TrainingError, TrainingTask
 
 if TYPE_CHECKING:
     from rlbench.training.train_state import TrainState
@@ -50,6 +50,10 @@ class Progress:
     validation_history: list[tuple[int, float]] = field(default_factory=list)
     # by validation set: frames seen, mean PSNR of all frames, and of the first frame of each clip
     curves: dict[str, list[tuple[int, float, float]]] = field(default_factory=dict)
+    # by validation set: PSNR of the last quarter of its clips less that of the first, last time
+    drift: dict[str, float] = field(default_factory=dict)
+    # frames seen and validation PSNR at the ends of the cycles after which a further one began
+    cycles: list[tuple[int, float]] = field(default_factory=list)
     best: tuple[int, float] | None = None  # frames seen and PSNR of the best validation, if kept
     config: dict[str, Any] = field(default_factory=dict)  # with the method and the training clips
     config_changes: list[str] = field(default_factory=list)
@@ -77,33 +81,64 @@ class Progress:
 
     @property
     def fraction_done(self) -> float:
-        """The part of the training that is done, in [0, 1]: of its `frames`, or of `anneal`."""
+        """The part of the training that is done, in [0, 1]: of its `frames`, or of `anneal`.
+
+        With `until_flat`, of the cycles up to this one.
+        """
         minutes = self.config.get("anneal", 0.0)
-        done = (
-            self.seconds / (60 * minutes) if minutes else self.frames_seen / self.config["frames"]
-        )
+        done = self.seconds / (60 * minutes) if minutes else self.frames_seen / self._cycle_end
         return float(min(done, 1.0))
 
     @property
+    def cycle_done(self) -> float:
+        """The part of this cycle of the learning rate that is done, in [0, 1]."""
+        if not self.cycles:
+            return self.fraction_done
+        start = self._cycle_end // 2
+        return min(max(0.0, (self.frames_seen - start) / (self._cycle_end - start)), 1.0)
+
+    @property
     def frames_goal(self) -> int:
-        """Crops at the end of the training; an estimate where its length is given in minutes."""
+        """Crops at the end of this cycle; an estimate where its length is given in minutes."""
         if self.config.get("anneal") and self.fraction_done > 0:
             return round(self.frames_seen / self.fraction_done)
-        return int(self.config["frames"])
+        return self._cycle_end
+
+    @property
+    def _cycle_end(self) -> int:
+        return int(self.config["frames"] << len(self.cycles))
+
+    def begin_next_cycle(self) -> None:
+        """At the end of a cycle, begin one that is as long as all before, if the run is to go on.
+
+        It is to go on while each cycle gains at least `until_flat` over the one before (stochastic
+        gradient descent with warm restarts, Loshchilov and Hutter 2017, with cycles that double).
+        """
+        least = self.config.get("until_flat", 0.0)
+        most = self.config.get("most_frames", TrainingConfig.most_frames)
+        is_over = not least or self.fraction_done < 1 or 2 * self._cycle_end > most
+        if not is_over and (not self.cycles or self._last_rise >= least):
+            self.cycles.append(self.validation_history[-1])
 
     @property
     def trend(self) -> str:
-        """The validation in the last fifth of the run: "rising" or "flat".
+        """The validation in the last fifth of the run, or its last cycle: "rising" or "flat".
 
-        Empty with fewer than two validations.
+        Empty with fewer than two validations, and with fewer than two cycles.
         """
-        if len(self.validation_history) < 2:
+        least = self.config.get("until_flat", 0.0)
+        if len(self.validation_history) < 2 or (least and not self.cycles):
             return ""
-        return "rising" if self._last_rise >= PLATEAU_DB else "flat"
+        return "rising" if self._last_rise >= (least or PLATEAU_DB) else "flat"
 
     @property
     def _last_rise(self) -> float:
-        """From the last validation before the last fifth of the run to the last one, in dB."""
+        """Gain of the last validation, in dB: over the last cycle's end, if there are several.
+
+        Otherwise over the last validation before the last fifth of the run.
+        """
+        if self.cycles:
+            return self.validation_history[-1][1] - self.cycles[-1][1]
         *earlier, (frames, last) = self.validation_history
         before = [psnr for seen, psnr in earlier if seen <= LAST_FIFTH * frames] or [earlier[0][1]]
         return last - before[-1]
@@ -118,9 +153,8 @@ class Progress:
         if self.fraction_done < 1:
             problem = f"stopped at {self.frames_seen} of {self.frames_goal} frames"
         elif self.trend == "rising":
-            problem = (
-                f"not converged: validation rose by {self._last_rise:.2f} dB in the last fifth"
-            )
+            part = "last cycle" if self.cycles else "last fifth"
+            problem = f"not converged: validation rose by {self._last_rise:.2f} dB in the {part}"
         return "; ".join(filter(None, (*self.config_changes, problem)))
 
 
@@ -288,6 +322,7 @@ def save_weights(
         origin=task.origin,
         validation_history=tuple(progress.validation_history),
         curves={name: tuple(curve) for name, curve in progress.curves.items()},
+        drift=progress.drift,
         kept_at=kept_at,
         trend=progress.trend,
         note="; ".join(filter(None, (remark, kept, progress.note))),

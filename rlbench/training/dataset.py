@@ -84,16 +84,17 @@ def select_split(
     """The clips that the options --preset, --seeds, --holdout, --clips and --validate select.
 
     `preset` may name several, separated by commas. `clips` are folders or shell-style patterns of
-    a user's clips, which train alone, or are mixed in where a preset or seeds are given too.
+    a user's clips, or presets, which train alone, or are mixed in where a preset or seeds are given
+    too.
     `validate` names validation sets as `select_validation` does; otherwise the first and the middle
     clip of each preset validate, and every eighth of the user's. Clips get the sample pools named
-    in `pool_kinds`; `executor` renders missing clips. `render_ahead` clips of the preset are
-    rendered while it trains.
+    in `pool_kinds`; `executor` renders missing clips. `render_ahead` clips of the presets
+    are rendered while it trains.
 
     Raises OptionError if the options contradict each other, and as `split_generated`,
     `split_holdout`, `find_own_clips`, `select_validation` and `FurtherClips` do.
     """
-    further = FurtherClips(preset or "train", render_ahead) if render_ahead else None
+    further = FurtherClips(_names(preset), render_ahead) if render_ahead else None
     render = partial(render_preset_clips, pool_kinds=pool_kinds, executor=executor)
     if held_out_scene is None:
         return _select(preset, seeds, render, clips, validate)._replace(further=further)
@@ -121,12 +122,13 @@ def _select(
     validate: Sequence[str],
 ) -> TrainingSplit:
     """The split of presets, of the user's clips, or of both."""
-    names = [name.strip() for name in (preset or "train").split(",") if name.strip()]
+    names = _names(preset)
     if seeds is not None and len(names) > 1:
         raise OptionError(f"--seeds applies to one preset, and --preset names {', '.join(names)}")
     if clips and preset is None and seeds is None:
-        names = []
-    own = find_own_clips(clips) if clips else []
+        names = ()
+    found = (folder for word in clips for folder in _find_clips(word, "train", render))
+    own = list({folder.resolve(): folder for folder in found}.values())
     for name in names:
         _check_not_test_set(name, seeds)
     sets: dict[str, Sequence[Path]] = dict(select_validation(validate, render))
@@ -143,6 +145,10 @@ def _select(
         remark = remark or ONE_CLIP_REMARK * (len(own) == 1)
         own, sets[OWN] = split_off_validation(own)
     return _join(train, own, sets, remark)
+
+
+def _names(presets: str | None) -> tuple[str, ...]:
+    return tuple(filter(None, (name.strip() for name in (presets or "train").split(","))))
 
 
 def _join(
@@ -164,14 +170,20 @@ def select_validation(
     sets: dict[str, list[Path]] = {}
     for word in words:
         name, _, what = word.rpartition("=")
-        if find_preset(what) and not Path(what).exists():
-            _check_for_decisions(what)
-            folders = render(None, what)
-        else:
-            folders = find_own_clips([what], "decide")
         known = sets.setdefault(name or Path(what).resolve().name, [])
-        known += [folder for folder in folders if folder not in known]
+        known += [folder for folder in _find_clips(what, "decide", render) if folder not in known]
     return sets
+
+
+def _find_clips(word: str, use: PresetUse, render: Render) -> Sequence[Path]:
+    """The clips of a preset, or in a folder or pattern where there is no preset of that name."""
+    if not find_preset(word) or Path(word).exists():
+        return find_own_clips([word], use)
+    if use == "decide":
+        _check_for_decisions(word)
+    else:
+        _check_not_test_set(word, None)
+    return render(None, word)
 
 
 def split_off_validation(clips: Sequence[Path]) -> tuple[list[Path], list[Path]]:

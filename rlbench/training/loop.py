@@ -84,6 +84,8 @@ def train(
     and its card NAME.toml. `command` and `remark` are recorded in the card; `on_progress` is called
     with progress and loss after each sequence.
 
+    With `config.until_flat` it goes on in cycles until one gains less than that.
+
     A finished run is left unchanged. An interrupted run resumes from its last checkpoint; on a CPU
     the final weights are bit-identical to those of an uninterrupted run. A checkpoint with a
     different config or different clips is refused, unless `allow_config_change`; the card then
@@ -95,7 +97,7 @@ def train(
     config, or if a loss or a gradient is not finite.
     """
     _check_budgets(method, config)
-    sets = _name_sets(validation_clips, config.keep)
+    sets = _name_sets(validation_clips, config)
     keep_freed_memory()
     task: TrainingTask = registry.training_task(method, device, config.seed)
     state = TrainState(
@@ -112,7 +114,7 @@ def train(
     chosen = {
         "validation": config.keeps_best and described,
         "start": start and task.origin,
-        "render_ahead": further and f"{further.preset} {further.count}",
+        "render_ahead": further and f"{','.join(further.presets)} {further.count}",
     }
     requested |= {name: value for name, value in chosen.items() if value}
     progress = _start_or_resume(state, out / CHECKPOINT, requested, allow_config_change)
@@ -128,7 +130,7 @@ def train(
     ):
         while progress.fraction_done < 1 and time.monotonic() < stop:
             intervals, started = progress.frames_seen // config.eval_interval, time.monotonic()
-            learning_rate = task.max_lr * config.lr_factor(progress.fraction_done)
+            learning_rate = task.max_lr * config.lr_factor(progress.cycle_done)
             clip = sequence(progress.sequences)
             loss = _train_sequence(method, state, clip, progress)
             progress.seconds = time.monotonic() - began
@@ -168,20 +170,23 @@ def _select_recorder(config: TrainingConfig, device: str) -> CudaGraphs | None:
 
 
 def _name_sets(
-    clips: Sequence[Path] | Mapping[str, Sequence[Path]], keep: str
+    clips: Sequence[Path] | Mapping[str, Sequence[Path]], config: TrainingConfig
 ) -> Mapping[str, Sequence[Path]]:
     """Validation sets by name; clips without a name are the set `validation`.
 
-    Raises TrainingError if the weights that are best on a set are kept, and it has no clips.
+    Raises TrainingError if the weights that are best on a set are kept, and it has no clips, or if
+    validations decide when to stop, and there are none.
     """
     sets = clips if isinstance(clips, Mapping) else {"validation": clips}
-    word, _, name = keep.partition(":")
+    word, _, name = config.keep.partition(":")
     known = [name for name, folders in sets.items() if folders]
-    if keep != "last" and (word != "best" or not known or name not in ("", *known)):
+    if config.keeps_best and (word != "best" or not known or name not in ("", *known)):
         raise TrainingError(
-            f"cannot keep '{keep}': validation sets are {', '.join(known) or 'missing'}. "
+            f"cannot keep '{config.keep}': validation sets are {', '.join(known) or 'missing'}. "
             f"Choose {', '.join(['last', 'best', *(f'best:{each}' for each in known)])}"
         )
+    if config.until_flat and not known:
+        raise TrainingError("--until-flat compares validations, and there are no clips to validate")
     return sets
 
 
@@ -216,17 +221,22 @@ def _describe_small_pools(method: str, batches: Batches, budgets: Sequence[float
 def _validate(
     state: TrainState, progress: Progress, sets: Mapping[str, Sequence[Path]]
 ) -> ValidationResult:
-    """Validate, append to the curves, and keep the averaged weights if they are the best so far."""
+    """Validate, append to the curves, and keep the averaged weights if they are the best so far.
+
+    Where this ends a cycle, and the training is to go on, the next one begins.
+    """
     config, frames, result = state.config, progress.frames_seen, state.validate(sets)
     progress.validation_history.append((frames, result.psnr))
     for name, score in result.sets.items():
-        progress.curves.setdefault(name, []).append((frames, *score))
+        progress.curves.setdefault(name, []).append((frames, score.psnr, score.first_frames))
+        progress.drift[name] = score.drift
     kept_set = config.keep.partition(":")[2]
     psnr = result.sets[kept_set].psnr if kept_set else result.psnr
     is_better = math.isfinite(psnr) and (progress.best is None or psnr > progress.best[1])
     if config.keeps_best and is_better:
         progress.best = (frames, psnr)
         state.keep_average()
+    progress.begin_next_cycle()
     return result
 
 
@@ -260,9 +270,9 @@ def _train_sequence(
     """Train on the next sequence and advance the progress; returns the mean loss."""
     config, index = state.config, progress.sequences
     spp = sequence_budget(clip, config.spp or state.task.spp, config.seed, index)
-    done = progress.fraction_done
+    factor = config.lr_factor(progress.cycle_done)
     try:
-        loss = state.train_sequence(clip, spp, config.lr_factor(done), done)
+        loss = state.train_sequence(clip, spp, factor, progress.fraction_done)
     except NonFiniteStepError as error:
         raise TrainingError(
             f"Training of '{method}' stopped in sequence {index} at {spp:g} spp: {error}. "

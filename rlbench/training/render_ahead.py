@@ -1,6 +1,6 @@
 """Scenes without end: further clips are rendered beside a training, and replace its first ones.
 
-    rlbench train -m ours --preset train-hard --render-ahead 1000
+    rlbench train -m ours --preset train-hard,train-eventful --render-ahead 1000
 
 Which clips a sequence is cut from depends on its number alone, so that a resumed training has the
 same ones: where a clip is not there yet, the training waits.
@@ -11,10 +11,11 @@ from __future__ import annotations
 import subprocess
 import sys
 import time
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, field
 from functools import partial
+from itertools import chain, cycle, zip_longest
 from pathlib import Path
 
 from rlbench.clips.header import FILE
@@ -34,58 +35,65 @@ LOG = "render.log"  # in the folder of a run: what the second process prints
 
 @dataclass(frozen=True)
 class FurtherClips:
-    """Clips of a generated preset beside those that a training begins with."""
+    """Clips of generated presets beside those that a training begins with."""
 
-    preset: str
-    count: int
+    presets: tuple[str, ...]  # that take turns
+    count: int  # of the clips of all presets
 
     def __post_init__(self) -> None:
         """Raise OptionError for a preset whose clips have no seeds."""
-        known = find_preset(self.preset)
-        if known is None or not known.seeds:
-            raise OptionError(
-                f"--render-ahead {self.count} renders further seeds of one preset of generated "
-                f"scenes, such as train or train-hard, and '{self.preset}' is none"
-            )
+        for preset in self.presets:
+            known = find_preset(preset)
+            if known is None or not known.seeds:
+                raise OptionError(
+                    f"--render-ahead {self.count} renders further seeds of presets of generated "
+                    f"scenes, such as train or train-hard, and '{preset}' is none. To train on it "
+                    "too, name it with --clips"
+                )
 
-    @property
-    def seeds(self) -> range:
-        """The seeds of their scenes, in the order of their use."""
-        return range(FIRST_SEED, FIRST_SEED + self.count)
+    def seeds(self, preset: str) -> range:
+        """The seeds of the scenes of a preset, in the order of their use."""
+        turn = self.presets.index(preset)
+        return range(FIRST_SEED, FIRST_SEED + len(range(turn, self.count, len(self.presets))))
 
     @property
     def folders(self) -> list[Path]:
-        """Where they lie in the cache."""
-        names = get_preset(self.preset).clip_names(seeds=self.seeds)
-        return [paths.clips_folder() / self.preset / name for name in names]
+        """Where they lie in the cache, in the order of their use."""
+        names = (get_preset(each).clip_names(seeds=self.seeds(each)) for each in self.presets)
+        turns = chain.from_iterable(zip_longest(*names))
+        presets = zip(cycle(self.presets), filter(None, turns), strict=False)
+        return [paths.clips_folder() / preset / name for preset, name in presets]
 
     @contextmanager
     def rendered_beside(self, log: Path) -> Iterator[Callable[[Path], None]]:
-        """Render what is missing in a second process; the returned function waits for a clip.
+        """Render what is missing, each preset in a process; the returned function waits for a clip.
 
         It raises TrainingError if the process ended without it.
         """
-        with (
-            log.open("a") as output,
-            subprocess.Popen(
-                _command(self), stdout=output, stderr=output, preexec_fn=end_with_parent()
-            ) as process,
-        ):
-            try:
-                yield partial(_wait, process, log)
-            finally:
-                process.terminate()
+        with log.open("a") as output, ExitStack() as stack:
+            processes = {}
+            for preset in filter(self.seeds, self.presets):
+                process = subprocess.Popen(
+                    _command(self, preset),
+                    stdout=output,
+                    stderr=output,
+                    preexec_fn=end_with_parent(),
+                )
+                processes[preset] = stack.enter_context(process)
+                stack.callback(process.terminate)
+            yield partial(_wait, processes, log)
 
 
-def _command(further: FurtherClips) -> list[str]:
-    """The command that renders further clips, one after the other."""
-    seeds = f"{further.seeds.start}:{further.seeds.stop}"
-    words = ["render", "--preset", further.preset, "--seeds", seeds]
+def _command(further: FurtherClips, preset: str) -> list[str]:
+    """The command that renders further clips of a preset, one after the other."""
+    seeds = further.seeds(preset)
+    words = ["render", "--preset", preset, "--seeds", f"{seeds.start}:{seeds.stop}"]
     return [sys.executable, "-m", "rlbench", *words]
 
 
-def _wait(process: subprocess.Popen[bytes], log: Path, folder: Path) -> None:
+def _wait(processes: Mapping[str, subprocess.Popen[bytes]], log: Path, folder: Path) -> None:
     while not (folder / FILE).is_file():
+        process = processes[folder.parent.name]
         if process.poll() is not None and not (folder / FILE).is_file():
             raise TrainingError(
                 f"clip {folder.name} was not rendered: the process that renders ahead ended with "
@@ -135,7 +143,7 @@ def renew(
 ) -> Iterator[RenewedBatches]:
     """Batches whose clips are replaced by further ones, evenly over a training.
 
-    The second process, which renders them, logs into `folder`. Without further clips there is none.
+    The processes that render them log into `folder`. Without further clips there is none.
     """
     if further is None:
         yield RenewedBatches(batches, (), 1, lambda clip: None)

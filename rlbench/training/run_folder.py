@@ -2,9 +2,9 @@
 
 `status.json` is replaced every ten seconds and at the end, and holds one object: `method`, `frames`
 (to train on), `frames_seen`, `frames_per_second`, `seconds`, `loss`, `validation` (the last one: by
-set, `psnr` and `first_frames` in dB), `best` (frames seen and PSNR of the weights that are kept, or
-null) and `finished`. `log.jsonl` holds a line for each validation; TensorBoard has all, if it is
-installed. Imports no torch, so that the state of a run can be read while others train.
+set, `psnr`, `first_frames` and `drift` in dB), `best` (frames seen and PSNR of the weights that are
+kept, or null) and `finished`. `log.jsonl` holds a line for each validation; TensorBoard has all, if
+it is installed. Imports no torch, so that the state of a run can be read while others train.
 """
 
 from __future__ import annotations
@@ -32,7 +32,8 @@ STATUS = "status.json"  # the present state
 QUICK = "-quick"  # suffix of the folders of quick trainings
 SPEED_LINES = 6  # last validations over which the speed is measured
 TENSORBOARD = "tensorboard"
-CURVES = ("validation PSNR", "validation PSNR of first frames")  # of each set, in TensorBoard
+# of each set, in TensorBoard
+CURVES = ("validation PSNR", "validation PSNR of first frames", "validation drift")
 PREVIEW_GAMMA = 1 / 2.2  # previews are for viewing only, not for measuring
 
 
@@ -197,7 +198,7 @@ class TrainingLogger:
             "seconds": progress.seconds,
             "loss": loss if math.isfinite(loss) else None,
             "validation": {
-                name: {"psnr": psnr, "first_frames": first}
+                name: {"psnr": psnr, "first_frames": first, "drift": progress.drift[name]}
                 for name, (_, psnr, first) in last.items()
             },
             "best": progress.best,

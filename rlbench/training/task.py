@@ -76,7 +76,7 @@ WARM_UP_FRACTION = 0.15  # of the frames, in which the learning rate rises
 START_FACTOR, END_FACTOR = 1 / 25, 1e-4  # first and last learning rate, relative to the peak
 
 # fields that are stored only where they are chosen
-OPTIONAL = ("spp", "mix", "keep", "anchor", "anneal", "graph")
+OPTIONAL = ("spp", "mix", "keep", "anchor", "anneal", "until_flat", "most_frames", "graph")
 
 
 class TrainingError(RlbenchError, RuntimeError):
@@ -132,7 +132,19 @@ class TrainingConfig:
     anchor: float = 0.0
     # minutes of training in which the learning rate rises and falls, in place of `frames`; 0: none
     anneal: float = 0.0
+    # train in cycles, the first of `frames`, each later one as long as all before it, until one
+    # gains less than this on the mean over the validation sets, in dB; 0: one cycle
+    until_flat: float = 0.0
+    most_frames: int = 2_000_000  # after which no further cycle begins
     graph: bool = False  # record each step as a CUDA graph, where the task allows it
+
+    def __post_init__(self) -> None:
+        """Raise TrainingError if the length of the training is given twice."""
+        if self.anneal and self.until_flat:
+            raise TrainingError(
+                f"--anneal {self.anneal:g} ends a training after minutes, and --until-flat "
+                f"{self.until_flat:g} where it gains no more. Give one of them"
+            )
 
     def to_dict(self) -> dict[str, Any]:
         """The config as it is stored in JSON, with `OPTIONAL` fields only where they are chosen."""

@@ -52,6 +52,7 @@ class SetScore(NamedTuple):
 
     psnr: float  # mean over clips, budgets and frames
     first_frames: float  # mean over clips and budgets of the first frame, which has no history
+    drift: float  # mean over clips and budgets of the last quarter of a clip less the first
 
 
 class ValidationResult(NamedTuple):
@@ -326,10 +327,11 @@ def validate(
     A clip with fewer samples than a budget is validated with all that it has.
     """
     psnr = registry.load_plugin("metrics", "psnr")
+    drift = registry.load_plugin("metrics", "drift").from_psnr
     scores: dict[str, SetScore] = {}
     preview = None
     for name, folders in sets.items():
-        frames, first_frames = [], []
+        frames, first_frames, drifts = [], [], []
         for folder in folders:
             clip = open_clip(folder, method.traits.inputs, pool=method.traits.pool, device=device)
             for budget in sorted({min(each, float(clip.max_samples)) for each in spp}):
@@ -340,7 +342,8 @@ def validate(
                     psnrs += psnr.score(compared).tolist()
                 frames += psnrs
                 first_frames += psnrs[:1]
+                drifts.append(drift(psnrs))
                 if preview is None:
                     preview = torch.cat((result.image[0], reference.mean[0]), dim=-1)
-        scores[name] = SetScore(fmean(frames or [0.0]), fmean(first_frames or [0.0]))
+        scores[name] = SetScore(*(fmean(each or [0.0]) for each in (frames, first_frames, drifts)))
     return ValidationResult(scores, preview)

@@ -30,7 +30,8 @@ from tests.conftest import install_plugin
         (
             crossval,
             TrainingConfig,
-            "anchor anneal ema_decay eval_interval graph keep mix sequence_length",
+            "anchor anneal ema_decay eval_interval graph keep mix most_frames sequence_length "
+            "until_flat",
         ),
     ],
 )

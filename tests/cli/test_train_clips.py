@@ -107,12 +107,13 @@ def test_each_validation_set_has_a_curve_on_the_card_and_in_the_log(shots, tmp_p
     output = train(shots, tmp_path / "runs", "--frames", 6, "--validate", sets)
     assert "not trained on: shot-0, 1 (shot-0); rest, 2 (shot-1, shot-2)" in output
     folder = tmp_path / "runs" / "blur"
-    curves = tomllib.loads((folder / "blur.toml").read_text())["curves"]
+    card = tomllib.loads((folder / "blur.toml").read_text())
     (line,) = (folder / "log.jsonl").read_text().splitlines()
     validation = json.loads(line)["validation"]
-    assert set(curves) == set(validation) == {"shot-0", "rest"}
-    for name, ((_, psnr, first),) in curves.items():
-        assert validation[name] == {"psnr": psnr, "first_frames": first}
+    assert set(card["curves"]) == set(validation) == {"shot-0", "rest"}
+    for name, ((_, psnr, first),) in card["curves"].items():
+        drift = card["drift"][name]
+        assert validation[name] == {"psnr": psnr, "first_frames": first, "drift": drift}
 
 
 @pytest.mark.parametrize(

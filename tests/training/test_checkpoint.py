@@ -211,6 +211,20 @@ def test_a_run_records_its_start_and_refuses_another(tmp_path, clip_folder):
         train(*arguments, tmp_path / "second", config)
 
 
+def test_each_cycle_of_the_learning_rate_is_as_long_as_all_before_it():
+    config = {"frames": 100, "until_flat": 0.1}
+    done = {}
+    for cycles, seen in ((0, 50), (1, 100), (1, 150), (2, 250)):
+        progress = Progress(frames_seen=seen, config=config, cycles=[(0, 20.0)] * cycles)
+        done[cycles, seen] = (progress.frames_goal, progress.cycle_done, progress.fraction_done)
+    assert done == {
+        (0, 50): (100, 0.5, 0.5),
+        (1, 100): (200, 0.0, 0.5),
+        (1, 150): (200, 0.5, 0.75),
+        (2, 250): (400, 0.25, 0.625),
+    }
+
+
 def test_minutes_to_anneal_take_the_place_of_frames():
     seen = {"frames_seen": 50, "seconds": 30.0}
     by_frames = Progress(**seen, config={"frames": 200})

@@ -160,6 +160,16 @@ def test_own_clips_train_and_validate_alone(own):
     )
 
 
+@pytest.mark.usefixtures("rendered")
+def test_presets_and_own_clips_are_mixed_in_together(own):
+    split = dataset.select_split("train", None, None, clips=["train-eventful", f"{own}/shot-1"])
+    eventful = [f"{n}" for n in range(4)]
+    assert [folder.name for folder in split.mixed_in] == [*eventful]  # shot-1 validates
+    assert split.validation["clips"] == [own / "shot-1"]
+    with pytest.raises(OptionError, match="preset 'unseen' is a test set"):
+        dataset.select_split("train", None, None, clips=["unseen"])
+
+
 def test_a_clip_that_validates_is_not_trained_on(own):
     words = [f"a={own}/shot-0", f"b={own}/shot-[12]"]
     split = dataset.select_split(None, None, None, clips=[str(own)], validate=words)

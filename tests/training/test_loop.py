@@ -7,6 +7,7 @@ import os
 import signal
 import subprocess
 import sys
+from collections.abc import Mapping
 from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
@@ -122,14 +123,13 @@ def test_an_auxiliary_network_is_in_checkpoints_and_not_in_the_weights_file(tmp_
     }
 
 
-def rising_then_falling(monkeypatch) -> None:
-    """Validation of a real training, whose best of four PSNRs is made the second."""
-    scores = iter((20.0, 25.0, 22.0, 21.0))
+def score_validations(monkeypatch, scores: Mapping[int, float]) -> None:
+    """Give the validations of a real training these PSNRs, by step of the optimiser."""
     validate = TrainState.validate
 
     def scored(state, sets):
         result = validate(state, sets)
-        return result._replace(sets={"own": SetScore(next(scores), 19.0)})
+        return result._replace(sets={"own": SetScore(scores[state.steps], 19.0, 0.0)})
 
     monkeypatch.setattr(TrainState, "validate", scored)
 
@@ -145,7 +145,7 @@ def test_the_weights_of_the_best_validation_are_kept_and_a_kill_loses_none(tmp_p
         averages[self.steps] = {k: v.clone() for k, v in self.ema_networks.state_dict().items()}
 
     monkeypatch.setattr(TrainState, "keep_average", recorded)
-    rising_then_falling(monkeypatch)
+    score_validations(monkeypatch, {6: 20.0, 12: 25.0, 18: 22.0, 24: 21.0})
     config = TrainingConfig(24, crop=16, sequence_length=3, eval_interval=6, keep="best:own")
     arguments = ("blur", [clip], {"own": [clip]}, tmp_path / "run", config)
     with pytest.raises(KilledError):
@@ -158,6 +158,50 @@ def test_the_weights_of_the_best_validation_are_kept_and_a_kill_loses_none(tmp_p
     stored = safetensors.torch.load_file(result.weights)
     expected = {name: tensor.half() for name, tensor in averages[12].items()}
     torch.testing.assert_close(stored, expected, rtol=0, atol=0)
+
+
+@pytest.mark.parametrize(
+    ("scores", "most", "seen", "trend"),
+    [
+        ({6: 20.0, 12: 20.04}, 96, 12, "flat"),
+        ({6: 20.0, 12: 21.0, 24: 21.5, 48: 21.52}, 96, 48, "flat"),
+        ({6: 20.0, 12: 21.0, 24: 22.0}, 47, 24, "rising"),
+    ],
+)
+def test_cycles_double_until_one_gains_too_little_and_a_kill_changes_nothing(
+    tmp_path, monkeypatch, scores, most, seen, trend
+):
+    registry.use_plugin(write_learner(tmp_path))
+    clip = write_noise(tmp_path / "noise", h=24, w=24)
+    score_validations(monkeypatch, scores)
+    config = TrainingConfig(
+        6, crop=16, sequence_length=3, eval_interval=1000, until_flat=0.05, most_frames=most
+    )
+
+    def run(folder: Path, sequences: int | None = None):
+        sets = {"own": [clip]}
+        return train("blur", [clip], sets, folder, config, on_progress=kill_after(sequences))
+
+    with pytest.raises(KilledError):
+        run(tmp_path / "killed", 3)  # in the second cycle
+    resumed, undisturbed = run(tmp_path / "killed"), run(tmp_path / "undisturbed")
+    assert digest(resumed.weights) == digest(undisturbed.weights)
+    card = read_card(resumed.weights)
+    assert [frames for frames, _ in card.validation_history] == sorted(scores)
+    assert (card.frames_seen, card.trend) == (seen, trend)
+    assert ("not converged" in card.note) == (trend == "rising")
+    before = resumed.weights.stat().st_mtime_ns
+    assert run(tmp_path / "killed").progress.cycles == undisturbed.progress.cycles
+    assert resumed.weights.stat().st_mtime_ns == before  # a finished run is left unchanged
+
+
+def test_a_training_until_it_is_flat_needs_validations_and_no_minutes(tmp_path):
+    registry.use_plugin(write_learner(tmp_path))
+    clip = write_noise(tmp_path / "noise", h=24, w=24)
+    with pytest.raises(TrainingError, match="no clips to validate"):
+        train("blur", [clip], {}, tmp_path, TrainingConfig(until_flat=0.05))
+    with pytest.raises(TrainingError, match="--anneal 2 ends .* Give one of them"):
+        TrainingConfig(anneal=2.0, until_flat=0.05)
 
 
 @pytest.mark.parametrize("keep", ["best:other", "worst"])
@@ -181,7 +225,9 @@ def test_other_programs_read_the_state_of_a_run_from_its_folder(tmp_path):
     assert status["validation"] == last["validation"]
     assert set(status["validation"]) == {"one", "two"}
     _, psnr, first = result.progress.curves["one"][-1]
-    assert status["validation"]["one"] == {"psnr": psnr, "first_frames": first}
+    drift = result.progress.drift["one"]
+    assert status["validation"]["one"] == {"psnr": psnr, "first_frames": first, "drift": drift}
+    assert read_card(result.weights).drift == result.progress.drift
 
 
 @pytest.mark.parametrize(

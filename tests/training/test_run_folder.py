@@ -65,6 +65,7 @@ SCALARS = {
     "validation PSNR",
     "validation PSNR/validation",
     "validation PSNR of first frames/validation",
+    "validation drift/validation",
 }
 
 

@@ -50,8 +50,10 @@ def test_optional_fields_are_in_the_json_only_if_they_are_chosen():
         "mix": 0.5,
         "keep": "best",
         "anchor": 30.0,
-        "anneal": 1.5,
+        "until_flat": 0.05,
+        "most_frames": 1000,
         "graph": True,
     }
     assert TrainingConfig(24, **chosen).to_dict() == stored | chosen | {"spp": [4.0]}
-    assert set(chosen) == set(OPTIONAL)
+    assert TrainingConfig(24, anneal=1.5).to_dict() == stored | {"anneal": 1.5}
+    assert {*chosen, "anneal"} == set(OPTIONAL)

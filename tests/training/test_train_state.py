@@ -235,6 +235,7 @@ def test_each_set_has_a_mean_of_its_own_and_one_of_first_frames(tmp_path):
     result = blur_state(tmp_path, 1.0, 4.0).validate(sets)  # 4 spp: 2 are stored
     assert result.sets["short"].psnr == result.sets["short"].first_frames
     assert result.sets["longer"].psnr != result.sets["longer"].first_frames
+    assert (result.sets["short"].drift, result.sets["longer"].drift == 0) == (0, False)
     assert result.psnr == sum(score.psnr for score in result.sets.values()) / 2
     assert blur_state(tmp_path, 1.0, 2.0).validate(sets).sets == result.sets
 
