@@ -10,7 +10,6 @@ from pathlib import Path
 import numpy as np
 import torch
 from jaxtyping import Float, Int
-from numpy import ndarray as Array
 from torch import Tensor
 
 from rlbench.apps.render.fingerprint import fingerprint
@@ -41,7 +40,7 @@ class LivePool:
     sample_order: tuple[int, ...]  # sample numbers, in the order in which they are drawn
     rounding_seed: int  # of the dither that rounds fractional counts
     exposure: float
-    stored_dtype: type[np.floating]  # of radiance in the clip's file
+    stored_dtype: torch.dtype  # of radiance in the clip's file
     device: torch.device
 
     @property
@@ -62,35 +61,29 @@ class LivePool:
     def empty(self) -> Samples:
         """No samples at any pixel."""
         _, h, w = self.size
-        counts = _lazy_zeros((1, 1, h, w), np.int64).to(self.device)
-        radiance = _lazy_zeros((1, self.max_samples, 3, h, w), np.float32).to(self.device)
-        return Samples(radiance, counts)
+        counts = torch.zeros(1, 1, h, w, dtype=torch.int64, device=self.device)
+        return Samples(_lazy_zeros((1, self.max_samples, 3, h, w), self.device), counts)
 
     def read(self, before: Samples, counts: Int[Tensor, "1 1 h w"]) -> Float[Tensor, "1 s 3 h w"]:
         """Radiance of the first `counts` samples of each pixel; traces those not in `before`."""
-        pixels, slots = missing_samples(
-            *(c.flatten().cpu().numpy() for c in (before.counts, counts))
-        )
-        values = torch.from_numpy(self._trace(pixels, slots)).to(self.device) * self.exposure
+        pixels, slots = missing_samples(before.counts.flatten(), counts.flatten())
+        values = self._trace(pixels, slots) * self.exposure
         radiance = self.empty().radiance
         filled = int(before.counts.max())  # slots beyond are empty at every pixel
         radiance[:, :filled] = before.radiance[:, :filled]
-        row, column = (torch.from_numpy(i) for i in np.divmod(pixels, self.size.w))
-        radiance[0].permute(0, 2, 3, 1)[torch.from_numpy(slots), row, column] = values
+        row, column = pixels // self.size.w, pixels % self.size.w
+        radiance[0].permute(0, 2, 3, 1)[slots, row, column] = values
         return radiance
 
-    def _trace(self, pixels: Int[Array, " n"], slots: Int[Array, " n"]) -> Float[Array, "n 3"]:
+    def _trace(self, pixels: Int[Tensor, " n"], slots: Int[Tensor, " n"]) -> Float[Tensor, "n 3"]:
         """Radiance of these samples as the stored pool's file would hold it, in float32."""
         if self.tracer.time != self.time:
             self.tracer.set_time(self.time)
-        numbers = np.asarray(self.sample_order)[slots]
-        radiance = np.zeros((len(pixels), 3), np.float32)
-        for start in range(0, len(pixels), MAX_PATHS):
-            part = slice(start, start + MAX_PATHS)
-            radiance[part] = self.tracer.trace(pixels[part], numbers[part])
+        numbers = torch.tensor(self.sample_order, device=slots.device)[slots]
+        launches = zip(*(torch.split(each, MAX_PATHS) for each in (pixels, numbers)), strict=True)
+        radiance = torch.cat([self.tracer.trace_tensors(*pairs) for pairs in launches])
         # another machine may trace a firefly that the file's dtype cannot hold
-        clipped = np.minimum(radiance, np.finfo(self.stored_dtype).max)
-        return np.asarray(clipped.astype(self.stored_dtype), np.float32)
+        return radiance.clamp_max(torch.finfo(self.stored_dtype).max).to(self.stored_dtype).float()
 
 
 @dataclass(frozen=True)
@@ -119,7 +112,7 @@ class LiveClip(ClipWrapper):
             numbers,
             seed,
             header.exposure,
-            channel_dtype(file, "s0.R"),
+            torch.from_numpy(np.empty(0, channel_dtype(file, "s0.R"))).dtype,
             clip.device,
         )
         return clip.frame_with_pool(index, pool)
@@ -190,21 +183,27 @@ def _cached_tracer(folder: Path, digest: str) -> Tracer:
     return open_clip_tracer(folder)
 
 
-def _lazy_zeros(shape: tuple[int, ...], dtype: type[np.number]) -> Tensor:
-    """Zeros whose memory is allocated on first write, as numpy does and torch does not."""
-    return torch.from_numpy(np.zeros(shape, dtype))
+def _lazy_zeros(shape: tuple[int, ...], device: torch.device) -> Tensor:
+    """Zeros, whose memory is allocated on first write on a CPU, as numpy does, not torch."""
+    if device.type == "cpu":
+        return torch.from_numpy(np.zeros(shape, np.float32))
+    return torch.zeros(shape, device=device)
 
 
 def missing_samples(
-    before: Int[Array, " p"], counts: Int[Array, " p"]
-) -> tuple[Int[Array, " n"], Int[Array, " n"]]:
-    """Pixel and slot of each sample from number `before` up to `counts`, pixel by pixel."""
-    new = counts - before
-    (pixels,) = np.nonzero(new > 0)
-    new = new[pixels]
-    start = np.cumsum(new) - new  # index of each pixel's first sample in the result
-    slots = np.arange(new.sum()) - np.repeat(start - before[pixels], new)
-    return np.repeat(pixels, new), slots
+    before: Int[Tensor, " p"], counts: Int[Tensor, " p"]
+) -> tuple[Int[Tensor, " n"], Int[Tensor, " n"]]:
+    """Pixel and slot of each sample from number `before` up to `counts`, pixel by pixel.
+
+    >>> pixels, slots = missing_samples(torch.tensor([1, 0, 2]), torch.tensor([3, 1, 2]))
+    >>> pixels.tolist(), slots.tolist()
+    ([0, 0, 1], [1, 2, 0])
+    """
+    new = (counts - before).clamp_min(0)
+    pixels = torch.arange(len(new), device=new.device).repeat_interleave(new)
+    first = new.cumsum(0) - new  # index of each pixel's first sample in the result
+    slots = torch.arange(len(pixels), device=new.device) - (first - before)[pixels]
+    return pixels, slots
 
 
 def scatter_factor(tracer: Tracer, counts: Int[Tensor, "1 1 h w"]) -> float:
@@ -214,9 +213,9 @@ def scatter_factor(tracer: Tracer, counts: Int[Tensor, "1 1 h w"]) -> float:
     about 1; scattered ones have more, because neighbouring paths are less alike, and very few have
     much more, because a launch has a fixed cost. Raises ValueError without a sample.
     """
-    drawn = counts.flatten().cpu().numpy()
+    drawn = counts.flatten()
     if not drawn.sum():
         raise ValueError("the counts are all zero; at least one sample is needed")
-    pixels, samples = missing_samples(np.zeros_like(drawn), drawn)
-    relative = tracer.relative_cost(lambda: tracer.trace(pixels, samples, "pilot"), 1)
-    return relative * drawn.size / float(drawn.sum())
+    pixels, samples = missing_samples(torch.zeros_like(drawn), drawn)
+    relative = tracer.relative_cost(lambda: tracer.trace_tensors(pixels, samples, "pilot"), 1)
+    return relative * len(drawn) / float(drawn.sum())

@@ -8,8 +8,10 @@ from functools import cached_property
 from typing import Any
 
 import numpy as np
+import torch
 from jaxtyping import Float, Int
 from numpy import ndarray as Array
+from torch import Tensor
 
 from rlbench.apps.render.mitsuba import load
 from rlbench.apps.render.mitsuba.tracer import Tracer, make_sampler, stream_key
@@ -30,8 +32,7 @@ class WavefrontTracer(Tracer):
     def trace(
         self, pixels: Int[Array, " n"], samples: Int[Array, " n"], stream: str = "input"
     ) -> Float[Array, "n 3"]:
-        """Radiance of any (pixel, sample) pairs. No other function calls the integrator."""
-        import drjit as dr
+        """Radiance of any (pixel, sample) pairs."""
         import mitsuba as mi
 
         if not len(pixels):
@@ -39,13 +40,45 @@ class WavefrontTracer(Tracer):
         if len(pixels) == 1:  # Dr.Jit treats one lane as a scalar and would compile another kernel
             return self.trace(np.repeat(pixels, 2), np.repeat(samples, 2), stream)[:1]
         pixel, sample = load.upload(mi.UInt32, pixels), load.upload(mi.UInt32, samples)
+        radiance = self._integrate(pixel, sample, stream)
+        return self.apply_cap(np.stack([radiance[c].numpy() for c in range(3)], axis=-1))
+
+    def trace_tensors(
+        self, pixels: Int[Tensor, " n"], samples: Int[Tensor, " n"], stream: str = "input"
+    ) -> Float[Tensor, "n 3"]:
+        """As `trace`, of tensors. Nothing is copied to another device if both libraries have one.
+
+        Never run on a GPU yet.
+        """
+        import drjit as dr
+        import mitsuba as mi
+
+        is_on_gpu = select_variant().startswith("cuda")
+        if pixels.is_cuda != is_on_gpu or len(pixels) < 2:
+            return super().trace_tensors(pixels, samples, stream)
+        if is_on_gpu:  # Dr.Jit has a stream of its own
+            torch.cuda.synchronize(pixels.device)
+        pixel, sample = mi.UInt32(pixels.to(torch.int32)), mi.UInt32(samples.to(torch.int32))
+        radiance = self._integrate(pixel, sample, stream)
+        channels = [radiance[c].torch() for c in range(3)]
+        dr.sync_thread()
+        traced, cap = torch.stack(channels, -1), self.radiance_cap
+        if cap == math.inf:
+            return traced
+        return traced * (cap / traced.amax(-1, keepdim=True).clamp_min(cap))
+
+    def _integrate(self, pixel: Any, sample: Any, stream: str) -> Any:
+        """Radiance of pairs (mi.UInt32), evaluated. No other function calls the integrator."""
+        import drjit as dr
+        import mitsuba as mi
+
         sampler = self.make_sampler(pixel, sample, stream)
         jitter = sampler.next_2d()
         row = pixel // self._columns
         x, y = mi.Float(pixel - row * self._columns) + jitter.x, mi.Float(row) + jitter.y
         radiance, _, _ = self.integrator.sample(self.mi_scene, sampler, self.rays(x, y))
         dr.eval(radiance)  # otherwise reading the channels traces every path three times
-        return self.apply_cap(np.stack([radiance[c].numpy() for c in range(3)], axis=-1))
+        return radiance
 
     def evaluate_rays(
         self, query: Callable[[Any], Sequence[Any]], film: Float[Array, "p 2"]

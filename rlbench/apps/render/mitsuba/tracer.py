@@ -17,8 +17,10 @@ from functools import cache
 from typing import Any
 
 import numpy as np
+import torch
 from jaxtyping import Float, Int
 from numpy import ndarray as Array
+from torch import Tensor
 
 from rlbench.apps.render.mitsuba import load
 from rlbench.apps.render.mitsuba.load import EmitterScaler
@@ -67,6 +69,13 @@ class Tracer(ABC):
         self, pixels: Int[Array, " n"], samples: Int[Array, " n"], stream: str = "input"
     ) -> Float[Array, "n 3"]:
         """Radiance of any (pixel, sample) pairs; pixels count row by row from the upper left."""
+
+    def trace_tensors(
+        self, pixels: Int[Tensor, " n"], samples: Int[Tensor, " n"], stream: str = "input"
+    ) -> Float[Tensor, "n 3"]:
+        """As `trace`, of tensors; the radiance is on their device."""
+        radiance = self.trace(pixels.cpu().numpy(), samples.cpu().numpy(), stream)
+        return torch.from_numpy(radiance).to(pixels.device)
 
     @abstractmethod
     def evaluate_rays(

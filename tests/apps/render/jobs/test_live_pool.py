@@ -163,7 +163,7 @@ def check_no_map_compiles_a_kernel(scene, h, w):
 
     def pool(time):
         tracer.set_time(time)
-        return LivePool(tracer, time, tuple(range(8)), 1, 1.0, np.float16, torch.device("cpu"))
+        return LivePool(tracer, time, tuple(range(8)), 1, 1.0, torch.float16, torch.device("cpu"))
 
     first = pool(0.0)
     first.read(first.empty(), torch.ones(1, 1, h, w, dtype=torch.int64))
@@ -289,7 +289,7 @@ class CountingTracer:
     def __init__(self):
         self.traced = []
 
-    def trace(self, pixels, samples, stream):
+    def trace_tensors(self, pixels, samples, stream):
         self.traced = list(zip(pixels.tolist(), samples.tolist(), strict=True))
 
     def relative_cost(self, work, spp):

@@ -5,6 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+import torch
 
 from rlbench.apps.render.jobs.render_clips import scene_of_clip
 from rlbench.apps.render.mitsuba import load
@@ -27,6 +28,8 @@ def test_any_pairs_in_any_order_equal_the_stack(tracer, count):
     pixels, samples = random.integers(0, H * W, count), random.integers(0, 4, count)
     stack = tracer.trace_images(4).reshape(4, -1, 3)
     np.testing.assert_array_equal(tracer.trace(pixels, samples), stack[samples, pixels])
+    pairs = torch.from_numpy(pixels), torch.from_numpy(samples)
+    np.testing.assert_array_equal(tracer.trace_tensors(*pairs).numpy(), stack[samples, pixels])
 
 
 def test_without_llvm_pairs_equal_the_stack_too():
