@@ -19,7 +19,7 @@ CLAIMED := ours,ours/A1,ours/A2,$(LATENT),$(PAPER)
 # the paper's Table 1, its ablations, and the methods they are compared with; at the paper's budgets
 TABLE1 := $(CLAIMED),ours/flat,imcd,imcd/history,ntas,ntas/history,nppd,nppd/history,dasr,restir+oidn,svgf,oidn,oidn/retrained,restir,mean,oidn/tuned,oidn-intel,$(RULES)
 BUDGETS := 0.01,0.1,0.3,0.5,1,2,4
-TABLE1_720 := ours,ours/A2,ours/paper,ours/paper-A1,ours/paper-A2,imcd,ntas,dasr,nppd,svgf,oidn,oidn/retrained,accumulate/tuned,accumulate/fast
+TABLE1_720 := mean,ours,ours/A2,ours/latent,ours/latent-A1,ours/latent-A2,ours/paper,ours/paper-A2,imcd,ntas,dasr,nppd,svgf,oidn,oidn/retrained,accumulate/tuned,accumulate/fast
 
 # published denoisers, with their own history and with that of ours
 PUBLISHED := imcd,imcd/history,ntas,ntas/history,nppd,nppd/history,svgf,bmfr,cross,oidn/retrained
@@ -52,7 +52,6 @@ PAINTED := accumulate/contrast,oidn,ours,accumulate/tuned
 
 # rivals that need no training data, and rows beside them
 REGRESSIONS := bmfr,bmfr/filled,cross,cross/pilots,cross/contrast,svgf,oidn,ours
-FEW_UNSEEN := $(shell seq -s , -f 'generated-%g' 400 407)
 TWELVE_UNSEEN := $(shell seq -s , -f 'generated-%g' 400 411)
 
 # learned rows near the front and two filters, in all backends

@@ -70,10 +70,10 @@ def run(options: RunOptions) -> pd.DataFrame:
     `weights` is the path of a file or "random", whose rows are named `METHOD@weights_label`; None
     takes the shipped weights, as do methods that are not among `weights_for`, if it names any.
     `backend` runs the networks: "eager" is PyTorch, "openvino" and "compile" (torch.compile) are
-    compilers, for rows `METHOD@openvino`, "graph" records the stages of a frame as CUDA graphs, and
-    "auto" takes OpenVINO where it is installed. `skip_tiles` keeps unchanged tiles of methods with
-    a receptive field, for rows `METHOD@tiles`. `cost` is "measured", the name of a cost profile, or
-    a TOML file.
+    compilers, for rows `METHOD@openvino`, "graph" records the stages of a frame as CUDA graphs,
+    "fused" compiles them first, and "auto" takes OpenVINO where it is installed. `skip_tiles` keeps
+    unchanged tiles of methods with a receptive field, for rows `METHOD@tiles`. `cost` is
+    "measured", the name of a cost profile, or a TOML file.
     Results are kept in the folder `out`; cells that it holds already are not measured again.
     `times` are those to measure: "missing" ones; "uncertain" ones or all "again", of cells that
     have scores, and no scores; or "none", and a later call measures those that are missing. A row

@@ -1,8 +1,8 @@
 """Inference backends: what runs a method or its networks, PyTorch, a compiler, or recorded graphs.
 
 A compiler replaces the `forward` of each network of a method that was loaded for inference; the
-rest of the method stays the same. `graph` records the whole stages of a frame for a GPU. What a
-method computes is the same with each.
+rest of the method stays the same. `graph` records the whole stages of a frame for a GPU, `fused`
+compiles them first. What a method computes is the same with each.
 """
 
 from __future__ import annotations
@@ -20,6 +20,7 @@ from torch import Tensor, nn
 from rlbench.errors import OptionError
 from rlbench.family import Variant
 from rlbench.method import Method
+from rlbench.ops.recording import CudaGraphs, Fused, Recorder
 from rlbench.recorded_method import RecordedMethod
 
 if TYPE_CHECKING:
@@ -35,14 +36,22 @@ __all__ = [
     "use_backend",
 ]
 
-EAGER, OPENVINO, COMPILE, GRAPH = BACKENDS = ("eager", "openvino", "compile", "graph")
+EAGER, OPENVINO, COMPILE, GRAPH, FUSED = BACKENDS = (
+    "eager",
+    "openvino",
+    "compile",
+    "graph",
+    "fused",
+)
+# backends that record whole stages, and how
+RECORDED: dict[str, Callable[[], Recorder]] = {GRAPH: CudaGraphs, FUSED: Fused}
 AUTO = "auto"
 
 
 def select_backend(name: str, device: torch.device) -> str:
     """The backend that a name stands for: `auto` is OpenVINO on a processor that has it, or eager.
 
-    On a GPU it is eager: no GPU was at hand when `graph` was written.
+    On a GPU it is eager: no GPU was at hand when `graph` and `fused` were written.
 
     Raises OptionError for an unknown name, or where the backend cannot be used.
     """
@@ -66,9 +75,9 @@ def require_backend(name: str, device: torch.device) -> None:
         raise OptionError(
             f"--backend openvino runs on the processor, not on {device}; add --device cpu"
         )
-    if name == GRAPH and device.type != "cuda":
+    if name in RECORDED and device.type != "cuda":
         raise OptionError(
-            f"--backend graph records CUDA graphs, and cannot run on {device}; add --device cuda"
+            f"--backend {name} records CUDA graphs, and cannot run on {device}; add --device cuda"
         )
 
 
@@ -78,8 +87,8 @@ def applicable_backend(name: str, variant: Variant, *, skips_tiles: bool = False
     Compilers run networks. Graphs have no answers: neither rows that ask (`Traits.eager_reason`)
     nor skipped tiles are recorded.
     """
-    if name == GRAPH:
-        return EAGER if variant.traits.eager_reason or skips_tiles else GRAPH
+    if name in RECORDED:
+        return EAGER if variant.traits.eager_reason or skips_tiles else name
     return name if variant.learned else EAGER
 
 
@@ -87,15 +96,15 @@ def use_backend(method: Method, name: str, device: torch.device, bf16: bool = Fa
     """The method, whose networks run by a backend from now on; `eager` changes nothing.
 
     A network is compiled for each input size when it first sees it, which takes up to some seconds
-    (`openvino`) or a minute (`compile`). `graph` records `plan` and `denoise` for each size, see
-    `rlbench.recorded_method`. Outputs differ by rounding. `bf16` lets OpenVINO compute
+    (`openvino`) or a minute (`compile`). `graph` and `fused` record `plan` and `denoise` for each
+    size, see `rlbench.recorded_method`. Outputs differ by rounding. `bf16` lets OpenVINO compute
     in bfloat16; with the other backends torch.autocast does (`rlbench.wrappers.HalfPrecision`).
 
     Raises OptionError as `require_backend` does.
     """
     require_backend(name, device)
-    if name == GRAPH:
-        return RecordedMethod(method)
+    if name in RECORDED:
+        return RecordedMethod(method, RECORDED[name]())
     for network in find_networks(method):
         if name == OPENVINO:
             network.forward = OpenVinoForward(network, bf16)

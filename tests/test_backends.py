@@ -145,16 +145,18 @@ def test_a_backend_that_cannot_be_used_is_an_error_that_says_why():
         select_backend("onnx", CPU)
     with pytest.raises(OptionError, match="not on cuda; add --device cpu"):
         select_backend("openvino", torch.device("cuda"))
-    with pytest.raises(OptionError, match="records CUDA graphs, and cannot run on cpu"):
-        select_backend("graph", CPU)
+    for name in ("graph", "fused"):
+        with pytest.raises(OptionError, match=f"{name} records CUDA graphs, and cannot run on cpu"):
+            select_backend(name, CPU)
 
 
 def test_graphs_run_every_row_that_can_be_recorded_and_compilers_those_with_networks():
     svgf, intel = (registry.get_variant(name) for name in ("svgf", "oidn-intel"))
-    chosen = [applicable_backend("graph", variant) for variant in (svgf, intel)]
-    assert chosen == ["graph", EAGER]
+    for name in ("graph", "fused"):
+        chosen = [applicable_backend(name, variant) for variant in (svgf, intel)]
+        assert chosen == [name, EAGER]
+        assert applicable_backend(name, svgf, skips_tiles=True) == EAGER
     assert applicable_backend("openvino", svgf) == EAGER
-    assert applicable_backend("graph", svgf, skips_tiles=True) == EAGER
 
 
 def test_labels_of_rows_are_the_backends_names():

@@ -19,14 +19,14 @@ from rlbench.clips.procedural.clip import procedural_clip
 from rlbench.frames import Frame, GBuffer, Size, StoredPool
 from rlbench.ops.asking import may_ask
 from rlbench.ops.nested_tensors import read_leaves, replace_leaves
-from rlbench.ops.recording import RecordedFunction
+from rlbench.ops.recording import Fused, RecordedFunction
 from rlbench.questions import Questions
 from rlbench.recorded_method import RecordedMethod
 from rlbench.run import run_frame
 from rlbench.sampling import BudgetError, _divide, allocate_counts
 from rlbench.sanitize import sanitize_frame
 from tests.conftest import install_plugin
-from tests.tapes import Tapes, plain, unasked
+from tests.tapes import Tapes, plain, tensors_of, unasked
 
 SIZE = Size(2, 36, 44)
 CPU = torch.device("cpu")
@@ -112,6 +112,45 @@ def test_recorded_stages_return_what_the_method_returns_for_other_frames(name):
     kinds = len(recorder.tapes) // 2
     assert kinds <= 2
     assert sum(tape.replays for tape in recorder.tapes) == 2 * (8 - kinds)
+
+
+class Reruns:
+    """A recorder on a processor that runs a function again, and writes where it wrote at first."""
+
+    hold = staticmethod(torch.clone)
+
+    def record(self, function):
+        returned = function()
+
+        def replay():
+            for old, new in zip(*map(tensors_of, (returned, function())), strict=True):
+                old.copy_(new)
+
+        return replay, returned
+
+
+@pytest.mark.parametrize(
+    ("name", "compiler"),
+    [
+        ("oidn", "eager"),
+        *(pytest.param(name, "eager", marks=pytest.mark.slow) for name in (*ROWS, "bmfr", "cross")),
+        pytest.param("oidn", "inductor", marks=pytest.mark.slow),  # which needs a C++ compiler
+    ],
+)
+def test_each_stage_is_one_graph_that_returns_what_the_method_returns(name, compiler):
+    """A compiler that fuses operations rounds elsewhere."""
+    method = registry.load_method(name, CPU)
+    fused, spp = RecordedMethod(method, Fused(Reruns(), compiler)), method.traits.nearest_spp(2.0)
+    clip = list(procedural_clip(3, Size(1, 36, 44), frames=4, cut=3))
+    for _ in range(2):
+        state = method.start(Size(1, 36, 44))
+        for frame in clip:
+            valid = sanitize_frame(frame, method.traits.inputs)
+            with torch.inference_mode():
+                samples, image, _ = run_frame(fused, valid, state, spp)
+                expected, expected_image, state = run_frame(method, valid, state, spp)
+            assert torch.equal(samples.counts, expected.counts)
+            torch.testing.assert_close(image, expected_image, rtol=1e-4, atol=1e-4)
 
 
 def test_what_plan_reprojects_is_recorded_once_and_denoise_alone_is_not_replayed():

@@ -153,11 +153,11 @@ Weights = Annotated[
 ]
 Bf16 = Annotated[bool, flag(METHODS, "--bf16", "run networks in bfloat16, for rows METHOD@bf16")]
 Backend = Annotated[
-    Literal["eager", "openvino", "compile", "graph", "auto"],
+    Literal["eager", "openvino", "compile", "graph", "fused", "auto"],
     option(
         METHODS,
-        "what runs networks: PyTorch, OpenVINO, torch.compile, CUDA graphs of whole stages, or "
-        "OpenVINO where it is installed; for rows METHOD@openvino",
+        "what runs networks: PyTorch, OpenVINO, torch.compile, CUDA graphs of whole stages, the "
+        "same compiled first, or OpenVINO where it is installed; for rows METHOD@openvino",
     ),
 ]
 

@@ -18,7 +18,18 @@ from torch import Tensor
 
 from rlbench.ops.nested_tensors import map_tensors, read_leaves
 
-__all__ = ["CudaGraphs", "HeldInputs", "Kind", "RecordedFunction", "Recorder", "Tape", "kind_of"]
+__all__ = [
+    "CudaGraphs",
+    "Fused",
+    "HeldInputs",
+    "Kind",
+    "RecordedFunction",
+    "Recorder",
+    "Tape",
+    "kind_of",
+]
+
+MOST_KINDS = 1000  # of frames, for which one method is compiled in a process
 
 T = TypeVar("T")
 Kind = tuple[tuple[str, Any], ...]
@@ -53,6 +64,34 @@ class CudaGraphs:
         with torch.cuda.graph(graph, capture_error_mode="thread_local"):
             returned = function()
         return graph.replay, returned
+
+
+@dataclass(frozen=True)
+class Fused:
+    """A recorder of functions whose operations torch.compile has fused before.
+
+    A function has to be one graph; RuntimeError, or a subclass, is raised where it is not. Each is
+    compiled when it is recorded, which takes minutes; PyTorch keeps the kernels on disk.
+    """
+
+    recorder: Recorder = field(default_factory=CudaGraphs)
+    compiler: str = "inductor"  # of torch.compile
+
+    def hold(self, value: Tensor) -> Tensor:
+        """As the recorder's."""
+        return self.recorder.hold(value)
+
+    def record(self, function: Callable[[], T]) -> tuple[Callable[[], object], T]:
+        """What the recorder makes of the compiled function."""
+        options = {
+            "trace_autograd_ops": True,  # a network that learns in each frame
+            "recompile_limit": MOST_KINDS,
+            "accumulated_recompile_limit": MOST_KINDS,
+        }
+        with torch._dynamo.config.patch(options):
+            fused = torch.compile(function, backend=self.compiler, fullgraph=True, dynamic=False)
+            fused()
+            return self.recorder.record(fused)
 
 
 class HeldInputs:
