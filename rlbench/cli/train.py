@@ -99,6 +99,16 @@ def train(
     ] = None,
     batch: options.Batch = 1,
     crop: options.Crop = TrainingConfig.crop,
+    sequence_length: Annotated[
+        int,
+        option(
+            TRAINING,
+            "consecutive frames that a crop is taken from, and gradients pass through; clips with "
+            "fewer give what they have",
+            value="FRAMES",
+            min=1,
+        ),
+    ] = TrainingConfig.sequence_length,
     train_spp: options.TrainSpp = options.DEFAULT_TRAIN_SPP,
     bf16: options.TrainBf16 = False,
     graph: Annotated[
@@ -219,6 +229,7 @@ def train(
       rlbench train -m ours/paper --start ours/paper-A2 --frames 20000
       rlbench train -m ours --start ours --anchor 30 --frames 30000
       rlbench train -m nppd --frames 20000 --until-flat 0.05
+      rlbench train -m ours/paper --start ours/paper --sequence-length 12 --frames 20000
       rlbench train --queue research/campaign.toml --out runs/campaign
       rlbench train --queue research/campaign.toml --out runs/campaign --status
     """

@@ -38,7 +38,7 @@ VARIANT = r"-(cap[^-]*|views)"  # in the name of a preset with a radiance cap or
 SPEEDS = (3.0, 1.0, 2.0)  # of clips of 640x360, whose motion so reaches 30 pixels a frame
 # presets of which NAME-windows exists
 WINDOWED = ("train", "train-hard", "train-eventful", "train-real")
-WINDOW_FRAMES = 8  # of their clips, at least
+WINDOW_FRAMES = 12  # of their clips, at least
 PATH_AND_RESTIR = ("path", "restir")  # entry points in the group rlbench.pools
 GENERATORS = ("generated", "eventful", "hard")  # scenes that take a seed; clips <name>-<seed>
 TakeSelection = Literal["main", "all"]

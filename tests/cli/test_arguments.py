@@ -26,7 +26,7 @@ from tests.conftest import install_plugin
     ("command", "record", "lacks"),
     [  # what a command fills in itself, or leaves as it is
         (run, RunOptions, "executor on_cell seeds weights_for weights_label"),
-        (train, TrainingConfig, "ema_decay sequence_length spp"),
+        (train, TrainingConfig, "ema_decay spp"),
         (
             crossval,
             TrainingConfig,
