@@ -33,6 +33,7 @@ from reports.layout.page import Section, write_report
 from reports.layout.tables import Table, format_number, pivot, rank_rows, score_name, score_table
 
 METRICS = ("psnr", "rel_l2")
+MOST_SCENES = 16  # that a table has columns for
 ALL, LAST = "all frames", "last quarter of each clip"
 REPRODUCED, CONTRADICTED, NOT_SHOWN = "reproduced", "contradicted", "not shown"
 
@@ -88,7 +89,8 @@ def _section(psnr: Scores) -> Section | None:
     errors = {title: scores for title, scores in tabled.items() if scores.metric == "rel_l2"}
     pairs = pd.DataFrame([pair for item in errors.items() for pair in compare_order(*item)])
     if len(pairs):
-        tables += [_scene_table(scores, title) for title, scores in errors.items()]
+        few = psnr.measured["scene"].nunique() <= MOST_SCENES
+        tables += [_scene_table(scores, title) for title, scores in errors.items() if few]
         tables.append(_order_table(pairs))
     lists = {
         "Differences": difference_notes(records),
