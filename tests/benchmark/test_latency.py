@@ -235,10 +235,10 @@ def test_plan_and_denoise_are_timed_apart():
     assert times.processor_share < 0.9  # it slept
 
 
-@pytest.mark.parametrize("threads", [1, 2])
-def test_a_processor_is_named_with_its_threads(threads):
+@pytest.mark.parametrize(("threads", "words"), [(1, "1 thread"), (2, "2 threads")])
+def test_a_processor_is_named_with_its_threads(threads, words):
     torch.set_num_threads(threads)
-    assert device_name(CPU) == f"{provenance.machine().cpu}, {threads} threads"
+    assert device_name(CPU) == f"{provenance.machine().cpu}, {words}"
 
 
 @pytest.mark.parametrize("repeats", [1, 20])
