@@ -89,8 +89,8 @@ def _section(psnr: Scores) -> Section | None:
     errors = {title: scores for title, scores in tabled.items() if scores.metric == "rel_l2"}
     pairs = pd.DataFrame([pair for item in errors.items() for pair in compare_order(*item)])
     if len(pairs):
-        few = psnr.measured["scene"].nunique() <= MOST_SCENES
-        tables += [_scene_table(scores, title) for title, scores in errors.items() if few]
+        if psnr.measured["scene"].nunique() <= MOST_SCENES:
+            tables += [_scene_table(scores, title) for title, scores in errors.items()]
         tables.append(_order_table(pairs))
     lists = {
         "Differences": difference_notes(records),

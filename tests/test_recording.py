@@ -132,8 +132,10 @@ class Reruns:
 @pytest.mark.parametrize(
     ("name", "compiler"),
     [
-        ("oidn", "eager"),
-        *(pytest.param(name, "eager", marks=pytest.mark.slow) for name in (*ROWS, "bmfr", "cross")),
+        *(
+            pytest.param(name, "eager", marks=[pytest.mark.slow] * (name != "oidn"))
+            for name in (*ROWS, "bmfr", "cross")
+        ),
         pytest.param("oidn", "inductor", marks=pytest.mark.slow),  # which needs a C++ compiler
     ],
 )
