@@ -70,6 +70,18 @@ def test_a_cpu_may_ask_and_a_subclass_of_tensor_may_not():
     assert not may_ask(~unasked(mask))
 
 
+def test_a_pytorch_for_cuda_without_a_driver_is_not_asked_what_it_captures(monkeypatch):
+    """What PyPI installs on Linux, on a machine without a GPU."""
+
+    def fail():
+        raise RuntimeError("CUDA driver version is insufficient for CUDA runtime version")
+
+    monkeypatch.setattr(torch.version, "cuda", "13.0")
+    monkeypatch.setattr(torch.cuda, "is_initialized", lambda: False)
+    monkeypatch.setattr(torch.cuda, "is_current_stream_capturing", fail)
+    assert may_ask(torch.tensor([True]))
+
+
 @pytest.mark.parametrize("name", ROWS)
 @pytest.mark.parametrize("spp", [0.4, pytest.param(2.0, marks=pytest.mark.slow)])
 def test_a_frame_without_questions_has_the_same_counts_image_and_repairs(name, spp):

@@ -19,8 +19,9 @@ def is_recording() -> bool:
     """True while torch.compile or a CUDA graph records what happens here."""
     if torch.compiler.is_compiling():
         return True
-    has_cuda = torch.version.cuda is not None
-    return has_cuda and torch.cuda.is_current_stream_capturing()
+    # without a driver the second question is an error
+    has_begun = torch.cuda.is_initialized()  # type: ignore[no-untyped-call]
+    return has_begun and torch.cuda.is_current_stream_capturing()
 
 
 def is_recorded(values: Tensor) -> bool:
