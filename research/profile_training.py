@@ -24,9 +24,9 @@ PARTS = {  # functions of rlbench, in the order in which they run
     ("train_state.py", "_forward"): "forward, with the loss",
     ("losses.py", "l1_ms_ssim_loss"): "of that, L1 and MS-SSIM",
     ("train_state.py", "_backward"): "backward",
-    ("train_state.py", "_clip_gradients"): "clip the gradient",
-    ("train_state.py", "_step"): "Adam",
-    ("train_state.py", "_update_ema"): "average the weights",
+    ("optimizer_step.py", "_clip_gradients"): "clip the gradient",
+    ("optimizer_step.py", "_move_weights"): "Adam",
+    ("optimizer_step.py", "_update_average"): "average the weights",
 }
 METHOD_FUNCTIONS = 6  # how many functions of the method's own package are listed
 WARM_UP_LR_FACTOR = 1e-3

@@ -26,12 +26,31 @@ class Tape(TorchDispatchMode):
         super().__init__()
         self.operations: list[tuple[Any, ...]] = []
         self.replays = 0
+        self.made: set[int] = set()  # addresses of what the operations made
+        self.before: dict[
+            int, tuple[torch.UntypedStorage, torch.UntypedStorage]
+        ] = {}  # what they overwrote, and its values
 
     def __torch_dispatch__(self, func, types, args=(), kwargs=None):
         assert torch.Tag.data_dependent_output not in func.tags, f"{func} asks for values"
+        values = {a.name: v for a, v in zip(func._schema.arguments, args, strict=False)} | (
+            kwargs or {}
+        )
+        for argument in func._schema.arguments:
+            value = values.get(argument.name)
+            if argument.alias_info is not None and argument.alias_info.is_write:
+                for storage in map(Tensor.untyped_storage, tensors_of(value)):
+                    if storage.data_ptr() not in self.made | self.before.keys():
+                        self.before[storage.data_ptr()] = storage, storage.clone()
         result = func(*args, **(kwargs or {}))
+        self.made |= addresses(result) - addresses((args, kwargs))  # views are of older memory
         self.operations.append((func, args, kwargs or {}, result))
         return result
+
+    def undo(self) -> None:
+        """Restore what was overwritten: a recording computes nothing."""
+        for storage, values in self.before.values():
+            storage.copy_(values)
 
     def replay(self) -> None:
         self.replays += 1
@@ -47,6 +66,10 @@ def tensors_of(value: Any) -> list[Tensor]:
     return [each for each in pytree.tree_leaves(value) if isinstance(each, Tensor)]
 
 
+def addresses(value: Any) -> set[int]:
+    return {each.untyped_storage().data_ptr() for each in tensors_of(value)}
+
+
 class Tapes:
     """A recorder on a processor."""
 
@@ -60,6 +83,7 @@ class Tapes:
         self.tapes.append(tape := Tape())
         with tape, patch("rlbench.ops.asking.is_recording", return_value=True):
             returned = function()
+        tape.undo()
         return tape.replay, returned
 
 

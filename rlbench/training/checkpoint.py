@@ -296,7 +296,7 @@ def save_weights(
     """
     task, config = state.task, state.config
     extra = {"spp": config.spp or task.spp, "max_lr": task.max_lr, "validation": validation}
-    networks, kept_at, kept = state.ema_networks, progress.frames_seen, ""
+    networks, kept_at, kept = state.average, progress.frames_seen, ""
     if state.best and progress.best:
         networks = copy.deepcopy(networks)
         networks.load_state_dict(state.best)

@@ -8,8 +8,8 @@ from __future__ import annotations
 import logging
 import math
 import time
-from collections.abc import Callable, Mapping, Sequence
-from contextlib import AbstractContextManager, closing, nullcontext
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import AbstractContextManager, closing, contextmanager, nullcontext
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -33,10 +33,11 @@ from rlbench.training.checkpoint import (
     start_from,
 )
 from rlbench.training.dataset import TrainingSplit
+from rlbench.training.optimizer_step import NonFiniteStepError
 from rlbench.training.render_ahead import FurtherClips, renew
 from rlbench.training.run_folder import CHECKPOINT, TrainingLogger, run_folder, weights_path
 from rlbench.training.task import TrainingConfig, TrainingError, TrainingTask
-from rlbench.training.train_state import NonFiniteStepError, TrainState, ValidationResult
+from rlbench.training.train_state import TrainState, ValidationResult
 
 _logger = logging.getLogger(__name__)
 
@@ -124,6 +125,7 @@ def train(
     began = time.monotonic() - progress.seconds
     stop, next_status, loss = time.monotonic() + 60 * minutes, 0.0, math.nan
     with (
+        _advice_on_faults(method),
         renew(batches, further, config, out) as source,
         prefetch(source) as sequence,
         closing(TrainingLogger(out, progress.frames_seen)) as log,
@@ -132,7 +134,7 @@ def train(
             intervals, started = progress.frames_seen // config.eval_interval, time.monotonic()
             learning_rate = task.max_lr * config.lr_factor(progress.cycle_done)
             clip = sequence(progress.sequences)
-            loss = _train_sequence(method, state, clip, progress)
+            loss = _train_sequence(state, clip, progress)
             progress.seconds = time.monotonic() - began
             progress.frames_per_second = _count_frames(clip) / max(time.monotonic() - started, 1e-9)
             log.log_sequence(progress, loss, learning_rate)
@@ -145,7 +147,7 @@ def train(
                 log.write_status(progress, loss)
                 next_status = time.monotonic() + STATUS_SECONDS
             on_progress(progress, loss)
-        log.write_status(progress, loss)
+        log.write_status(progress, state.read_loss())
     checkpoint.write(out / CHECKPOINT, state.state_dict(), asdict(progress))
     note, drawn = "; ".join(filter(None, (remark, limits))), source.digests(progress.sequences)
     save_weights(method, result.weights, state, progress, command, note, described, drawn)
@@ -264,21 +266,24 @@ def _start_or_resume(
     return progress
 
 
-def _train_sequence(
-    method: str, state: TrainState, clip: InMemoryClip, progress: Progress
-) -> float:
-    """Train on the next sequence and advance the progress; returns the mean loss."""
+@contextmanager
+def _advice_on_faults(method: str) -> Iterator[None]:
+    """Raise TrainingError with advice in place of a NonFiniteStepError."""
+    try:
+        yield
+    except NonFiniteStepError as error:
+        raise TrainingError(
+            f"Training of '{method}' stopped: {error}. To resume from the last checkpoint with a "
+            "different config, pass --allow-config-change, for example with --max-grad-norm 0.1"
+        ) from error
+
+
+def _train_sequence(state: TrainState, clip: InMemoryClip, progress: Progress) -> float:
+    """Train on the next sequence and advance the progress; returns the loss that was read last."""
     config, index = state.config, progress.sequences
     spp = sequence_budget(clip, config.spp or state.task.spp, config.seed, index)
     factor = config.lr_factor(progress.cycle_done)
-    try:
-        loss = state.train_sequence(clip, spp, factor, progress.fraction_done)
-    except NonFiniteStepError as error:
-        raise TrainingError(
-            f"Training of '{method}' stopped in sequence {index} at {spp:g} spp: {error}. "
-            "To resume from the last checkpoint with a different config, pass "
-            "--allow-config-change, for example with --max-grad-norm 0.1"
-        ) from error
+    loss = state.train_sequence(clip, spp, factor, progress.fraction_done)
     progress.frames_seen += _count_frames(clip)
     progress.sequences += 1
     progress.steps = state.steps

@@ -142,7 +142,7 @@ def test_the_weights_of_the_best_validation_are_kept_and_a_kill_loses_none(tmp_p
 
     def recorded(self):
         update(self)
-        averages[self.steps] = {k: v.clone() for k, v in self.ema_networks.state_dict().items()}
+        averages[self.steps] = {k: v.clone() for k, v in self.average.state_dict().items()}
 
     monkeypatch.setattr(TrainState, "keep_average", recorded)
     score_validations(monkeypatch, {6: 20.0, 12: 25.0, 18: 22.0, 24: 21.0})

@@ -2,15 +2,20 @@
 
 from __future__ import annotations
 
+import math
+from dataclasses import replace
+
 import pytest
 import torch
+from torch import nn
 
 from rlbench import registry
 from rlbench.clips.in_memory import InMemoryClip
 from rlbench.clips.procedural.clip import procedural_clip
 from rlbench.frames import Size
-from rlbench.training import TrainingConfig, TrainingError
+from rlbench.training import TrainingConfig, TrainingError, TrainingTask
 from rlbench.training.loop import train
+from rlbench.training.optimizer_step import NonFiniteStepError
 from rlbench.training.train_state import TrainState
 from tests.tapes import Tapes
 
@@ -26,19 +31,46 @@ def sequence(seed: int) -> InMemoryClip:
 )
 def test_recorded_steps_train_as_plain_ones_do(name):
     """Two budgets, each recorded once; weights differ by the rounding of forms that ask nothing."""
-    states, recorder = [], Tapes()
+    states, losses, recorder = [], [], Tapes()
     for each in (None, recorder):
         state = TrainState(registry.training_task(name, "cpu"), TrainingConfig(), "cpu", each)
-        losses = [
+        for seed, spp in enumerate((1.0, 2.0, 1.0, 2.0, 1.0)):
             state.train_sequence(sequence(seed), spp, 1.0, seed / 5)
-            for seed, spp in enumerate((1.0, 2.0, 1.0, 2.0, 1.0))
-        ]
-        states.append((losses, state.networks.state_dict()))
-    (losses, weights), (recorded_losses, recorded_weights) = states
-    assert recorded_losses == pytest.approx(losses, rel=2e-3)
-    for key, weight in weights.items():
-        torch.testing.assert_close(recorded_weights[key], weight, rtol=1e-3, atol=2e-4)
+            losses.append(state.read_loss())
+        states.append(state.state_dict())  # networks, average, moments
+    plain, recorded = states
+    assert losses[5:] == pytest.approx(losses[:5], rel=2e-3)
+    for key, tensor in plain.items():
+        torch.testing.assert_close(recorded[key], tensor, rtol=1e-3, atol=2e-4)
     assert {tape.replays for tape in recorder.tapes if tape.replays} == {1, 2}
+
+
+def test_a_fault_in_a_recorded_step_is_found_later_and_changes_no_weight():
+    network = nn.Conv2d(3, 3, 1)
+    task = TrainingTask(
+        registry.load_method("mean"),
+        network,
+        lambda clip, spp: (network(frame.pool.radiance[0]).square().mean() for frame in clip),
+        (1.0,),
+        max_lr=1e-2,
+    )
+    state = TrainState(task, TrainingConfig(), "cpu", Tapes())
+    dark = replace(sequence(0), frames=list(sequence(0)))
+    for frame in dark:
+        frame.pool.radiance.fill_(math.nan)
+    for clip in (sequence(0), sequence(0)):
+        state.train_sequence(clip, 1.0, 1.0, 0.0)
+    kept = [*state.networks.parameters(), *state.average.parameters()]
+    kept += [
+        each for of_weight in state.step.optimizer.state.values() for each in of_weight.values()
+    ]
+    before = [each.clone() for each in kept]
+    for clip in (dark, sequence(0)):
+        state.train_sequence(clip, 1.0, 1.0, 0.0)
+    with pytest.raises(NonFiniteStepError, match="loss is nan at step 4 of the training") as raised:
+        state.read_loss()
+    assert raised.value.layers == ["weight", "bias"]
+    torch.testing.assert_close(kept, before, rtol=0, atol=0)
 
 
 @pytest.mark.parametrize("name", ["dasr", "ours", "ours/paper-appo"])
