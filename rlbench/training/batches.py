@@ -6,7 +6,7 @@ On a GPU the clips lie in its memory, and crops are cut there.
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence, Set
 from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
@@ -89,10 +89,11 @@ class Augmentation:
 class Batches:
     """Random sequences of crops; sequence `index` is the same in every run with the same seed.
 
-    Every clip of `clips` is drawn with equal probability. With `mixed_in`, a crop is from one of
-    those with probability `mix`, and from `clips` otherwise. Clips may differ in size, length and
-    stored samples: the clips of one batch have equally many samples, and the longer ones end with
-    the shortest. Each clip's own share is the same as without batches.
+    Every clip of `clips` is drawn with equal probability, and none in two sequences that follow
+    each other, if there are others. With `mixed_in`, a crop is from one of those with probability
+    `mix`, and from `clips` otherwise. Clips may differ in size, length and stored samples: the
+    clips of one batch have equally many samples, and the longer ones end with the shortest. Each
+    clip's own share is the same as without batches.
 
     Raises BatchError if there are no clips, or if a drawn clip is smaller than a crop.
     """
@@ -174,16 +175,28 @@ class Batches:
 
     def sequence(self, index: int) -> InMemoryClip:
         """A clip with a batch of crops as its frames; as long as the shortest of them."""
-        generator = torch.Generator().manual_seed(self.seed * 1_000_003 + index)
-        first = self._draw_clip(generator, range(len(self.stored_clips)))
-        slots = self.stored_clips[first].max_samples
-        alike = [n for n, clip in enumerate(self.stored_clips) if clip.max_samples == slots]
-        crops = [self._draw_crop(generator, first)]
-        for _ in range(1, self.batch):
-            crops.append(self._draw_crop(generator, self._draw_clip(generator, alike)))
+        drawn, generator = self._draw_clips(index)
+        crops = [self._draw_crop(generator, number) for number in drawn]
         return InMemoryClip(f"sequence {index}", "training", "", _interleave(crops))
 
-    def _draw_clip(self, generator: torch.Generator, candidates: Sequence[int]) -> int:
+    def _draw_clips(self, index: int) -> tuple[list[int], torch.Generator]:
+        """The clips of a sequence, which store equally many samples; and what draws the rest of it.
+
+        Sequences with odd numbers avoid the clips of both neighbours, if their group has others.
+        """
+        neighbours = (index - 1, index + 1) if index % 2 else ()
+        avoided = {number for each in neighbours for number in self._draw_clips(each)[0]}
+        generator = torch.Generator().manual_seed(self.seed * 1_000_003 + index)
+        drawn = [self._draw_clip(generator, range(len(self.stored_clips)), avoided)]
+        slots = self.stored_clips[drawn[0]].max_samples
+        alike = [n for n, clip in enumerate(self.stored_clips) if clip.max_samples == slots]
+        for _ in range(1, self.batch):
+            drawn.append(self._draw_clip(generator, alike, avoided))
+        return drawn, generator
+
+    def _draw_clip(
+        self, generator: torch.Generator, candidates: Sequence[int], avoided: Set[int]
+    ) -> int:
         """One of the candidates, each with its probability given that it is one of them."""
         group = [number for number in candidates if number < len(self.clips)]
         if self.mixed_in:
@@ -192,6 +205,7 @@ class Batches:
             total = share + self.mix * len(mixed) / len(self.mixed_in)
             is_mixed = float(torch.rand((), generator=generator)) * total >= share
             group = list(mixed) if is_mixed else group
+        group = [number for number in group if number not in avoided] or group
         return group[_draw_integer(generator, len(group))]
 
     def _draw_crop(self, generator: torch.Generator, number: int) -> Frame:

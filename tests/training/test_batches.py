@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import itertools
+from collections import Counter
 from pathlib import Path
 
 import pytest
@@ -143,6 +145,15 @@ def test_the_share_of_sequences_from_mixed_in_clips_is_the_one_requested(tmp_pat
     batches = Batches(many, batch, 16, 3, seed=0, mixed_in=few, mix=0.3)
     count = sum(len(batches.sequence(index)) == 2 for index in range(200))
     assert abs(count - 60) < 4 * (200 * 0.3 * 0.7) ** 0.5
+
+
+def test_no_clip_is_in_two_sequences_in_a_row(tmp_path):
+    folders = [write_noise(tmp_path / str(n), h=16, w=16, frames=n) for n in range(1, 6)]
+    batches = Batches(folders, batch=1, crop=16, sequence_length=5, seed=0)
+    drawn = [len(batches.sequence(index)) for index in range(200)]  # each clip has its own length
+    assert all(one != other for one, other in itertools.pairwise(drawn))
+    # 40 of each, within four standard deviations of independent draws
+    assert all(abs(count - 40) < 4 * (200 * 0.2 * 0.8) ** 0.5 for count in Counter(drawn).values())
 
 
 def test_clips_of_other_sizes_lengths_and_pools_make_batches(tmp_path):
