@@ -9,7 +9,6 @@ from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import torch
 from jaxtyping import Float
 from torch import Tensor
@@ -21,6 +20,7 @@ from rlbench.family import Traits
 from rlbench.frames import GBuffer, Samples, Size
 from rlbench.ops.fireflies import mean_without_fireflies
 
+CPU = torch.device("cpu")
 IMAGES = ("color", "albedo", "normal", "output")
 
 
@@ -38,21 +38,28 @@ class FilterSettings:
 
 
 class Filter:
-    """The library's filter for images of one size, on a number of CPU threads.
+    """The library's filter for images of one size, on a number of CPU threads or on a GPU.
 
     Not thread-safe: it holds the image buffers that the library reads and writes.
     """
 
-    def __init__(self, settings: FilterSettings, h: int, w: int, threads: int) -> None:
-        """Build the library's network. Raises LibraryError, e.g. for weights that are not a TZA."""
+    def __init__(
+        self, settings: FilterSettings, h: int, w: int, threads: int, device: torch.device = CPU
+    ) -> None:
+        """Build the library's network. Raises LibraryError, e.g. for weights that are not a TZA.
+
+        On a CUDA device the images lie in its memory, and PyTorch's current stream runs the filter.
+        """
         import pyoidn  # an optional dependency that listing methods does not need
 
-        self._images = {name: np.zeros((h, w, 3), np.float32) for name in IMAGES}
+        with torch.inference_mode(False):  # else they could not be overwritten outside of it
+            self._images = {name: torch.zeros(h, w, 3, device=device) for name in IMAGES}
         self._weights = settings.weights  # the library does not copy them
-        self._device = pyoidn.Device(pyoidn.OIDN_DEVICE_TYPE_CPU)
+        self._device = pyoidn.Device.from_torch(device)
         weakref.finalize(self, self._device.release)
-        self._device.set_int("numThreads", threads)
-        self._device.set_bool("setAffinity", False)  # torch does not pin threads either
+        if device.type == "cpu":
+            self._device.set_int("numThreads", threads)
+            self._device.set_bool("setAffinity", False)  # torch does not pin threads either
         self._device.commit()
         self._check()
 
@@ -77,18 +84,26 @@ class Filter:
         """The denoised image, linear radiance, on the device of `colour`.
 
         `colour` is linear radiance, albedo in [0, 1], normals in [-1, 1]. The library estimates the
-        exposure itself. Tensors on another device are copied to the CPU and back.
+        exposure itself. Tensors on another device are copied to that of the filter and back.
         """
         for name, image in zip(IMAGES, (colour, albedo, normal), strict=False):
-            torch.from_numpy(self._images[name]).copy_(image.movedim(0, 2))
+            self._images[name].copy_(image.movedim(0, 2))
         self._filter.execute()
         self._check()
-        output = torch.from_numpy(self._images["output"])
+        output = self._images["output"]
         return output.movedim(2, 0).to(colour.device, copy=True).contiguous()
 
     def _check(self) -> None:
         if message := self._device.get_error():
             raise LibraryError(f"Open Image Denoise: {message}")
+
+
+def filter_device(device: torch.device) -> torch.device:
+    """The device on which the library denoises tensors of `device`: it, or the CPU."""
+    import pyoidn
+
+    is_supported = device.type == "cuda" and pyoidn.Device.is_cuda_available(device.index or 0)
+    return device if is_supported else CPU
 
 
 def library_version() -> str:
@@ -143,10 +158,11 @@ class OidnIntel:
     """Open Image Denoise (Afra 2019): Intel's library, its ray-tracing filter and its weights.
 
     HDR colour with albedo and normal; uniform sampling, frames are independent. It runs on the CPU
-    with as many threads as torch; tensors on another device are copied there and back. Differs
-    from `baselines.oidn`: the library pads images with zeros to a multiple of 16, and processes
-    large images in overlapping tiles. Fireflies are limited before the library sees them
-    (rlbench.ops.limit_fireflies).
+    with as many threads as torch, or on the GPU of the tensors, where the library computes in half
+    precision (never run: no GPU was at hand). Where it does not support a GPU, tensors are copied
+    to the CPU and back. Differs from `baselines.oidn`: the library pads images with zeros to a
+    multiple of 16, and processes large images in overlapping tiles. Fireflies are limited before
+    the library sees them (rlbench.ops.limit_fireflies).
     """
 
     config: Config
@@ -165,7 +181,8 @@ class OidnIntel:
         """The image in linear radiance; the clips of a batch one after another."""
         noisy = mean_without_fireflies(samples.radiance, samples.counts)
         settings = FilterSettings(self.config.quality, self.config.clean_aux)
-        run_filter = get_filter(settings, *noisy.shape[-2:], torch.get_num_threads())
+        threads, device = torch.get_num_threads(), filter_device(noisy.device)
+        run_filter = get_filter(settings, *noisy.shape[-2:], threads, device)
         inputs = zip(noisy, gbuffer.albedo.clamp(0, 1), gbuffer.normal.clamp(-1, 1), strict=True)
         return torch.stack([run_filter(*clip_inputs) for clip_inputs in inputs]), None
 

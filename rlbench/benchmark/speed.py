@@ -20,6 +20,8 @@ import torch
 from jaxtyping import Float
 from torch import Tensor, nn
 from torch.profiler import ProfilerActivity, profile
+from torch.utils._python_dispatch import TorchDispatchMode
+from torch.utils._pytree import tree_leaves
 from torch.utils.flop_counter import FlopCounterMode
 
 from rlbench import registry
@@ -38,7 +40,8 @@ from rlbench.parallel.executor import LOCAL, JobResult, ProgressCallback
 from rlbench.run import run_clip
 from rlbench.wrappers import MethodWrapper
 
-PEAK_SIDE, PEAK_RUNS = 2048, 5  # of the matrix product that stands for the machine's peak
+PEAK_SIDE, COPIED_BYTES = 2048, 2**28  # of the product and the copy that stand for peaks
+PEAK_RUNS = 5
 COLUMNS = {
     "method": "row name, with backend and precision",
     "height": "pixels",
@@ -53,6 +56,8 @@ COLUMNS = {
     "parameters": "thousands, of the networks that PyTorch runs",
     "multiply_adds": "thousands per pixel, of convolutions and matrix products",
     "peak_share": "of the throughput of a matrix product in the same precision",
+    "traffic_bytes": "per pixel, read and written by PyTorch's operations one by one, in a frame",
+    "bandwidth_share": "of the bytes that a copy reads and writes in the same time",
     "state_bytes": "per pixel, of all tensors that are kept for the next frame",
     "memory_mb": "most memory of tensors during a frame, beyond its input",
     "note": "why an interval is wide, or why there are no times",
@@ -70,10 +75,14 @@ SHOWN = {
     "parameters": "thousand parameters",
     "multiply_adds": "thousand multiply-adds / pixel",
     "peak_share": "share of peak",
+    "traffic_bytes": "bytes moved / pixel",
+    "bandwidth_share": "share of bandwidth",
     "state_bytes": "bytes of state / pixel",
     "memory_mb": "memory, MiB",
 }
-DECIMALS = {"parameters": 0, "multiply_adds": 1, "state_bytes": 0, "memory_mb": 0, "peak_share": 2}
+SHARES = ("peak_share", "bandwidth_share")
+COUNTS = ("parameters", "traffic_bytes", "state_bytes", "memory_mb")
+DECIMALS = dict.fromkeys(SHARES, 2) | dict.fromkeys(COUNTS, 0)  # else 1
 FRAMES, SPP = 4, 1.0  # of the generated clip
 COUNTED_SIDE = 96  # pixels, of the frame whose multiply-adds are counted; a multiple of 32
 
@@ -111,6 +120,7 @@ def measure_speed(
     that fails has no times, and the error as its note (`failed_rows`).
     """
     peaks = {bf16: peak_throughput(device, bf16) for bf16 in {c.bf16 for c in configurations}}
+    bandwidth = peak_bandwidth(device)
     names = list(dict.fromkeys(c.method for c in configurations))
     work = {each.job: each for each in LOCAL.map(partial(_count_work, device), names)}
     lines: list[dict[str, object]] = []
@@ -129,8 +139,11 @@ def measure_speed(
                 lines.append(line | {"note": note})
                 continue
             counted = each.result().counted
-            per_second = 1e6 * counted["multiply_adds"] * math.prod(size) / timing.inference.mean
-            share = {"peak_share": per_second / peaks[each.job.bf16]}
+            per_second = 1e3 * math.prod(size) / timing.inference.mean  # pixels
+            share = {
+                "peak_share": 1e3 * counted["multiply_adds"] * per_second / peaks[each.job.bf16],
+                "bandwidth_share": counted["traffic_bytes"] * per_second / bandwidth,
+            }
             lines.append(line | _times(timing) | counted | share)
     return pd.DataFrame(lines, columns=list(COLUMNS))
 
@@ -165,10 +178,14 @@ class _Loaded(NamedTuple):
 
 
 def _count_work(device: torch.device, name: str, on_progress: ProgressCallback) -> _Counts:
-    """Thousands of parameters, and of multiply-adds per pixel."""
+    """Thousands of parameters, and of multiply-adds per pixel; bytes moved per pixel."""
     method = Configuration(name).load(device)
-    multiply_adds = count_multiply_adds(method, device)
-    return {"parameters": count_parameters(method) / 1e3, "multiply_adds": multiply_adds / 1e3}
+    multiply_adds, moved = count_work(method, device)
+    return {
+        "parameters": count_parameters(method) / 1e3,
+        "multiply_adds": multiply_adds / 1e3,
+        "traffic_bytes": moved,
+    }
 
 
 def _load(
@@ -182,7 +199,7 @@ def _load(
     method = configuration.load(device)
     row = TimedRow(method, clip, timed_spp(method))
     counted["state_bytes"] = state_bytes(row.method, clip) / (clip.size.h * clip.size.w)
-    if configuration.backend == EAGER and device.type == "cpu":
+    if configuration.backend == EAGER:
         counted["memory_mb"] = peak_memory(row.method, clip) / 2**20
     return _Loaded(row, counted)
 
@@ -205,12 +222,23 @@ def peak_throughput(device: torch.device, bf16: bool) -> float:
     """Multiply-adds per second of a product of two matrices of 2048 x 2048."""
     dtype = torch.bfloat16 if bf16 else torch.float32
     a, b = torch.rand(2, PEAK_SIDE, PEAK_SIDE, device=device).to(dtype)
+    return PEAK_SIDE**3 / _median_seconds(lambda: torch.mm(a, b), device)
+
+
+def peak_bandwidth(device: torch.device) -> float:
+    """Bytes per second that a copy of 256 MiB reads and writes."""
+    source = torch.zeros(COPIED_BYTES // 4, device=device)
+    target = torch.empty_like(source)
+    return 2 * COPIED_BYTES / _median_seconds(lambda: target.copy_(source), device)
+
+
+def _median_seconds(work: Callable[[], object], device: torch.device) -> float:
     clock, times = SystemClock(device), []
     for _ in range(PEAK_RUNS + 1):  # the first warms up
         start = clock.wall_ms()
-        torch.mm(a, b)
+        work()
         times.append(clock.wall_ms() - start)
-    return PEAK_SIDE**3 / (statistics.median(times[1:]) / 1e3)
+    return statistics.median(times[1:]) / 1e3
 
 
 def _times(timing: Timing) -> dict[str, object]:
@@ -271,15 +299,46 @@ def timed_spp(method: Method) -> float:
     return max(SPP, float(method.traits.min_samples))
 
 
-def count_multiply_adds(method: Method, device: torch.device) -> float:
-    """Multiply-adds per pixel of all convolutions and matrix products in a frame with history."""
+class Work(NamedTuple):
+    """What a frame with history computes and moves, per pixel."""
+
+    multiply_adds: float  # of all convolutions and matrix products
+    traffic_bytes: float  # that the operations read and write, each for itself
+
+
+def count_work(method: Method, device: torch.device) -> Work:
+    """The work of a method in the second frame of a small clip."""
     clip = generated_clip((COUNTED_SIDE, COUNTED_SIDE), device)
     results = run_clip(method, clip, timed_spp(method))
     next(results)
-    with FlopCounterMode(display=False) as counter:
+    with FlopCounterMode(display=False) as counter, TrafficCounter() as traffic:
         next(results)
     flops: int = counter.get_total_flops()
-    return flops / 2 / COUNTED_SIDE**2
+    return Work(flops / 2 / COUNTED_SIDE**2, traffic.total / COUNTED_SIDE**2)
+
+
+class TrafficCounter(TorchDispatchMode):  # type: ignore[no-untyped-call]
+    """Counts the bytes of what operations read and write; views move none."""
+
+    def __init__(self) -> None:
+        """Begin with no bytes."""
+        super().__init__()  # type: ignore[no-untyped-call]
+        self.total = 0
+
+    def __torch_dispatch__(self, func: Any, types: Any, args: Any = (), kwargs: Any = None) -> Any:
+        """What the operation returns."""
+        result = func(*args, **(kwargs or {}))
+        returns = (each.alias_info for each in func._schema.returns)
+        is_view = any(alias is not None and not alias.is_write for alias in returns)
+        if not is_view and "empty" not in func.name():
+            values = tree_leaves((args, kwargs, result))
+            self.total += sum(_stored_bytes(v) for v in values if isinstance(v, Tensor))
+        return result
+
+
+def _stored_bytes(tensor: Tensor) -> int:
+    """Bytes of its values; an expanded tensor has less memory than values."""
+    return min(tensor.numel() * tensor.element_size(), tensor.untyped_storage().nbytes())
 
 
 def count_parameters(method: Method) -> int:
@@ -300,6 +359,12 @@ def peak_memory(method: Method, clip: Clip) -> int:
     os.environ.setdefault("KINETO_LOG_LEVEL", "99")  # the profiler's log goes to the error stream
     results = run_clip(method, clip, timed_spp(method))
     next(results)
+    device = next(iter(clip)).gbuffer.normal.device
+    if device.type == "cuda":
+        before = torch.cuda.memory_allocated(device)
+        torch.cuda.reset_peak_memory_stats(device)
+        next(results)
+        return torch.cuda.max_memory_allocated(device) - before
     with profile(activities=[ProfilerActivity.CPU], profile_memory=True) as profiler:
         next(results)
     return max(_running_totals(profiler), default=0)

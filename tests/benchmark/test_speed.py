@@ -15,7 +15,8 @@ from rlbench.benchmark.cost_profile import read_profile, write_profile
 from rlbench.benchmark.speed import (
     COLUMNS,
     Configuration,
-    count_multiply_adds,
+    TrafficCounter,
+    count_work,
     measure_speed,
     profile_times,
     speed_page,
@@ -52,7 +53,9 @@ def table() -> pd.DataFrame:
 def test_multiply_adds_are_those_of_the_layers():
     """Within a thousandth: the exposure is a small product too."""
     method = registry.load_method("oidn", CPU, "random")
-    assert count_multiply_adds(method, CPU) == pytest.approx(unet_multiply_adds(9, 3), rel=1e-3)
+    assert count_work(method, CPU).multiply_adds == pytest.approx(
+        unet_multiply_adds(9, 3), rel=1e-3
+    )
 
 
 def test_parameters_are_those_on_the_model_card(table):
@@ -103,6 +106,23 @@ def test_the_share_of_the_peak_is_work_over_time(table):
     assert oidn.peak_share / ours.peak_share == pytest.approx(rate / our_rate)
     at_most_ms = oidn.inference_ms / oidn.inference_high_ms  # on a busy machine an estimate
     assert 0 < oidn.peak_share * at_most_ms < 1.5  # of a matrix product at another moment
+
+
+def test_bytes_moved_are_those_that_operations_read_and_write():
+    a, b = torch.zeros(2, 100), torch.zeros(100)
+    with TrafficCounter() as traffic:
+        a.view(200)[:100].add_(b)  # reads 200 values, writes 100; a view moves none
+        torch.empty(100)
+        (b.expand(7, 100) + a[:1]).sum()  # reads 200, writes 700; reads 700, writes 1
+    assert traffic.total == 4 * (300 + 900 + 701)
+
+
+def test_the_share_of_the_bandwidth_is_bytes_over_time(table):
+    rows = table[table.method.isin(["mean", "oidn"])]
+    rates = rows.traffic_bytes * rows.height * rows.width / rows.inference_ms
+    ratios = rows.bandwidth_share / rates
+    assert ratios.max() == pytest.approx(ratios.min())
+    assert (rows.bandwidth_share > 0).all()
 
 
 def test_the_page_shows_every_size_and_how_uncertain_a_time_is(table):
