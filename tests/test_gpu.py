@@ -22,7 +22,10 @@ ROWS = [
     name for name in registry.expand(["all"]) if not registry.get_variant(name).traits.eager_reason
 ]
 FUSED = ("oidn", "accumulate/tuned", "ours", "svgf")  # each takes minutes to compile
-TRAINED = ("oidn/retrained", "accumulate/tuned", "ours/A2", "nppd", "imcd", "ntas", "dasr")
+TRAINED = (
+    *("oidn/retrained", "accumulate/tuned", "ours/A2", "nppd", "imcd", "ntas", "dasr"),
+    *("ours", "ours/A1", "ours/paper", "ours/paper-appo"),
+)
 
 
 def on_gpu(clip: Clip) -> InMemoryClip:
@@ -76,4 +79,4 @@ def test_recorded_steps_train_as_plain_ones_do(name):
             clip = on_gpu(procedural_clip(seed, Size(1, 64, 64), frames=6))
             state.train_sequence(clip, 1.0 + seed % 2, 1.0, 0.9)
             losses[-1].append(state.read_loss())
-    assert losses[1] == pytest.approx(losses[0], rel=0.05)
+    assert losses[1] == pytest.approx(losses[0], rel=0.05, abs=0.01)

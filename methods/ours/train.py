@@ -11,7 +11,7 @@ from dataclasses import dataclass, field
 from typing import NamedTuple
 
 import torch
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 from torch import Tensor
 
 from baselines.oidn.train import FINE_TUNING_MAX_LR
@@ -35,7 +35,8 @@ LR_MULTIPLIERS = {"encoder": 0.2, "sampler": 3.0}  # at 1.0 the encoder's tanh s
 FINETUNING_MULTIPLIERS = {"encoder": 2.0, "sampler": 6.0, "auxiliary_network": 25.0}
 VALUE_LR_MULTIPLIER = 25.0  # of the value of JointAppo
 SAMPLER_INTERVAL = 2  # frames between steps of the sampler
-EXPLORES = "actions and what the sampler learns from are drawn by the host"  # not recordable
+RECORDABLE = ("reinforce", "reinforce+surrogate", "surrogate")  # learners
+DRAWS = "what the sampler learns from is drawn by the host"
 SAMPLER_WEIGHT = 0.1  # of the learner's loss; only the sampler gets it, so it matters for clipping
 
 
@@ -43,7 +44,7 @@ SAMPLER_WEIGHT = 0.1  # of the learner's loss; only the sampler gets it, so it m
 class _Sequence:
     """The part of an ExploringMethod that changes while a sequence is unrolled."""
 
-    noisy: bool = True
+    is_noisy: Bool[Tensor, ""] | None = None
     planned: tuple[GBuffer, RecurrentState] | None = None
 
 
@@ -58,12 +59,10 @@ class ExploringMethod(MethodWrapper[Ours]):
     generator: torch.Generator = field(default_factory=torch.Generator)
     sequence: _Sequence = field(default_factory=_Sequence)
 
-    def begin_sequence(self, clip: Clip) -> None:
-        """Seed the noise of a sampler by the clip, and draw whether this sequence has any."""
-        if self.method.sampler is None:
-            return
-        self.generator.manual_seed(next(iter(clip)).pool.rounding_seeds[0])
-        self.sequence.noisy = bool(torch.randint(2, (), generator=self.generator))
+    def begin_sequence(self) -> None:
+        """Draw whether this sequence has noise."""
+        drawn = torch.randint(2, (), generator=self.generator, device=self.generator.device)
+        self.sequence.is_noisy = drawn > 0
 
     def plan(
         self, gbuffer: GBuffer, samples: Samples, state: RecurrentState
@@ -74,9 +73,10 @@ class ExploringMethod(MethodWrapper[Ours]):
         self.sequence.planned = (gbuffer, detach(state))
         with torch.no_grad():
             action = self.method.act(gbuffer, state)
-        if self.sequence.noisy:
-            corner = self.policy.draw_corner(self.generator)
-            action = self.policy.explore(action, corner, self.generator)
+        corner = self.policy.draw_corner(self.generator)
+        noisy = self.policy.explore(action, corner, self.generator)
+        assert self.sequence.is_noisy is not None, "plan before begin_sequence"
+        action = noisy.where(self.sequence.is_noisy, action)
         return self.method.to_density(action, gbuffer, state)
 
     def last_problem(self, frame: Frame, spp: float) -> FrameProblem:
@@ -105,10 +105,10 @@ def config_task(config: Config, traits: Traits, device: torch.device, seed: int)
         return one_policy_task(method, device)
     learner = make_learner(config.learner, networks.sampler_channels)
     auxiliary = learner.network.to(device) if learner.network is not None else None
-    exploring = ExploringMethod(method)
+    exploring = ExploringMethod(method, generator=find_generator(device))
 
     def losses(clip: Clip, spp: float) -> Iterator[Tensor]:
-        exploring.begin_sequence(clip)
+        exploring.begin_sequence()
         total, frames = torch.zeros((), device=device), 0
         episode = list(clip) if config.gamma else []
         for result in unroll(exploring, clip, spp):
@@ -141,9 +141,22 @@ def config_task(config: Config, traits: Traits, device: torch.device, seed: int)
         multipliers,
         origin=origin,
         pretrained=("denoiser.",) if origin else (),
+        on_sequence=lambda clip: seed_by_clip(exploring.generator, clip),
         auxiliary_network=auxiliary,
-        eager_reason=EXPLORES if networks.sampler is not None else "",
+        eager_reason="" if networks.sampler is None or config.learner in RECORDABLE else DRAWS,
     )
+
+
+def find_generator(device: torch.device) -> torch.Generator:
+    """What draws random numbers on a device: on a GPU, PyTorch's own, which CUDA graphs know."""
+    if device.type == "cuda":
+        return torch.cuda.default_generators[device.index or 0]
+    return torch.Generator(device)
+
+
+def seed_by_clip(generator: torch.Generator, clip: Clip) -> None:
+    """Equal clips give equal draws."""
+    generator.manual_seed(next(iter(clip)).pool.rounding_seeds[0])
 
 
 def frame_loss(
@@ -178,14 +191,8 @@ class ActingMethod(MethodWrapper[Ours]):
     """`ours` with actions that are drawn, and recorded, in every frame."""
 
     learner: JointAppo
-    generator: torch.Generator = field(default_factory=torch.Generator)
+    generator: torch.Generator
     acts: list[Act] = field(default_factory=list)
-
-    def begin_episode(self, seed: int) -> None:
-        """Forget the last episode, and seed the actions."""
-        self.generator.manual_seed(seed)
-        self.acts.clear()
-        self.learner.begin_episode()
 
     def plan(
         self, gbuffer: GBuffer, samples: Samples, state: RecurrentState
@@ -209,15 +216,21 @@ def one_policy_task(method: Ours, device: torch.device) -> TrainingTask:
     assert networks.sampler is not None
     learner = JointAppo.of_sampler(networks.sampler, networks.sampler_channels, method.config.gamma)
     learner.network.to(device)
+    acting = ActingMethod(method, learner, find_generator(device))
+
+    def on_sequence(clip: Clip) -> None:
+        seed_by_clip(acting.generator, clip)
+        learner.begin_episode()
+
     return TrainingTask(
         method,
         networks,
-        episode_losses(ActingMethod(method, learner)),
+        episode_losses(acting),
         BUDGETS_FROM_0_05_SPP,
         MAX_LR,
         {**LR_MULTIPLIERS, "auxiliary_network": VALUE_LR_MULTIPLIER},
+        on_sequence=on_sequence,
         auxiliary_network=learner.network,
-        eager_reason=EXPLORES,
     )
 
 
@@ -225,7 +238,7 @@ def episode_losses(acting: ActingMethod) -> Callable[[Clip, float], Iterator[Ten
     """The losses of an episode: one a frame for the image, then the policy's."""
 
     def losses(clip: Clip, spp: float) -> Iterator[Tensor]:
-        acting.begin_episode(next(iter(clip)).pool.rounding_seeds[0])
+        acting.acts.clear()
         rewards = []
         for result in unroll(acting, clip, spp):
             loss = image_losses(result)

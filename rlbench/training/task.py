@@ -102,6 +102,8 @@ class TrainingTask:
     lr_multipliers: Mapping[str, float] = field(default_factory=dict)
     # called before each sequence with the fraction of frames trained on, in [0, 1)
     on_progress: Callable[[float], None] = lambda fraction_done: None
+    # called before each sequence with its clip, outside of what is recorded: for seeds and counters
+    on_sequence: Callable[[Clip], None] = lambda clip: None
     origin: str = ""  # source of the initial weights, for the model card; empty if random
     # beginnings of the names of weights in `networks` that others trained before; "" is all of them
     pretrained: tuple[str, ...] = ()

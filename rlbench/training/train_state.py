@@ -94,6 +94,7 @@ class TrainState:
             module.train()
         self.step.set_rate(lr_factor)
         self.task.on_progress(fraction_done)
+        self.task.on_sequence(clip)
         for _ in self._run_steps(clip, spp):
             self.steps, self._unread = self.steps + 1, self._unread + 1
         return self.read_loss() if self._unread >= self._reading_interval else self._loss

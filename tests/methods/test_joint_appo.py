@@ -200,7 +200,7 @@ def acting() -> ActingMethod:
     assert isinstance(method, Ours)
     networks = method.networks
     learner = JointAppo.of_sampler(networks.sampler, networks.sampler_channels, 0.99)
-    return ActingMethod(method, learner)
+    return ActingMethod(method, learner, torch.Generator())
 
 
 def test_rewards_and_actions_of_an_episode_are_those_of_the_paper(acting):

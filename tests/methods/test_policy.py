@@ -480,8 +480,13 @@ def test_a_block_is_summed_with_the_available_margin_around_it(corner):
     """Also above and to the left of the first whole block."""
     policy = BlockPolicyGradient(block=8, margin=4)
     values = torch.rand(2, 1, 1, 37, 45, generator=torch.Generator().manual_seed(0))
-    sums = policy._block_sums(values, corner, policy.margin)
-    for i, j in itertools.product(range(sums.shape[-2]), range(sums.shape[-1])):
+    sums, is_whole = (
+        policy._block_sums(values, corner, policy.margin),
+        policy.find_whole(values, corner),
+    )
+    assert is_whole.sum() == (37 - corner[0]) // 8 * ((45 - corner[1]) // 8)
+    assert not sums[..., ~is_whole].any()
+    for i, j in is_whole.nonzero().tolist():
         top, left = corner[0] + 8 * i, corner[1] + 8 * j
         around = values[..., max(top - 4, 0) : top + 12, max(left - 4, 0) : left + 12]
         torch.testing.assert_close(sums[..., i, j], around.sum((-1, -2)))

@@ -20,6 +20,7 @@ from rlbench.training.train_state import TrainState
 from tests.tapes import Tapes
 
 ROWS = ("oidn/retrained", "accumulate/tuned", "ours/A2", "nppd", "imcd", "ntas", "dasr")
+LEARNERS = ("ours", "ours/A1", "ours/paper-appo")  # of samplers
 
 
 def sequence(seed: int) -> InMemoryClip:
@@ -27,7 +28,11 @@ def sequence(seed: int) -> InMemoryClip:
 
 
 @pytest.mark.parametrize(
-    "name", [pytest.param(n, marks=[pytest.mark.slow] * (n in ("nppd", "imcd"))) for n in ROWS]
+    "name",
+    [
+        pytest.param(n, marks=[pytest.mark.slow] * (n in ("nppd", "imcd")))
+        for n in (*ROWS, *LEARNERS)
+    ],
 )
 def test_recorded_steps_train_as_plain_ones_do(name):
     """Two budgets, each recorded once; weights differ by the rounding of forms that ask nothing."""
@@ -39,9 +44,10 @@ def test_recorded_steps_train_as_plain_ones_do(name):
             losses.append(state.read_loss())
         states.append(state.state_dict())  # networks, average, moments
     plain, recorded = states
-    assert losses[5:] == pytest.approx(losses[:5], rel=2e-3)
-    for key, tensor in plain.items():
-        torch.testing.assert_close(recorded[key], tensor, rtol=1e-3, atol=2e-4)
+    # a count that is rounded the other way changes an image; losses in logarithms are near zero
+    assert losses[5:] == pytest.approx(losses[:5], rel=2e-3, abs=2e-3)
+    for key, tensor in plain.items():  # Adam takes a whole step where a gradient is rounding
+        torch.testing.assert_close(recorded[key], tensor, rtol=1e-3, atol=1e-3)
     assert {tape.replays for tape in recorder.tapes if tape.replays} == {1, 2}
 
 
@@ -73,10 +79,11 @@ def test_a_fault_in_a_recorded_step_is_found_later_and_changes_no_weight():
     torch.testing.assert_close(kept, before, rtol=0, atol=0)
 
 
-@pytest.mark.parametrize("name", ["dasr/gamma", "ours", "ours/paper-appo"])
-def test_tasks_that_draw_numbers_on_the_host_say_so_and_run_as_they_are(name):
+def test_a_task_that_draws_numbers_on_the_host_says_so_and_runs_as_it_is():
     recorder = Tapes()
-    state = TrainState(registry.training_task(name, "cpu"), TrainingConfig(), "cpu", recorder)
+    state = TrainState(
+        registry.training_task("dasr/gamma", "cpu"), TrainingConfig(), "cpu", recorder
+    )
     assert "drawn by" in state.task.eager_reason
     state.train_sequence(sequence(0), 1.0, 1.0, 0.0)
     assert not recorder.tapes

@@ -80,8 +80,8 @@ class JointAppo:
     ) -> tuple[Float[Tensor, "n 1 h w"], Float[Tensor, "n 1 h w"]]:
         """The mean action, and an action drawn around it, pixel by pixel."""
         mean = mean_action(self.sampler, observation)
-        noise = torch.randn(mean.shape, generator=generator).to(mean.device)
-        return mean, mean + self.action_std * noise
+        noise = torch.randn(mean.shape, generator=generator, device=generator.device)
+        return mean, mean + self.action_std * noise.to(mean.device)
 
     def begin_episode(self) -> None:
         """Update the delayed sampler, every `delay` episodes."""
