@@ -139,9 +139,11 @@ class TrainState:
         return tensors | {f"best.{name}": tensor for name, tensor in self.best.items()}
 
     def keep_average(self) -> None:
-        """Store a copy of the averaged weights as the best ones."""
-        averages = self.average.state_dict()
-        self.best = {name: tensor.detach().clone() for name, tensor in averages.items()}
+        """Store a copy of the averaged weights as the best ones, in half floats as they ship."""
+        self.best = {
+            name: tensor.half() if tensor.is_floating_point() else tensor.clone()
+            for name, tensor in self.average.state_dict().items()
+        }
 
     def load_state_dict(self, tensors: Mapping[str, Tensor], steps: int) -> None:
         """Restore the tensors of `state_dict`, saved after `steps` optimiser steps."""
