@@ -56,6 +56,22 @@ def test_recorded_frames_have_the_counts_and_images_of_plain_ones(backend, name)
             torch.testing.assert_close(other.image, one.image, rtol=1e-4, atol=1e-4)
 
 
+def test_intels_library_runs_on_the_card_where_it_can():
+    """In half precision there; without support it falls back to the processor."""
+    pytest.importorskip("pyoidn")
+    from baselines.oidn_intel.method import filter_device
+
+    assert filter_device(GPU) == GPU
+    clip = procedural_clip(3, Size(1, 96, 160), frames=2)
+    here, there = (
+        list(run_clip(registry.load_method("oidn-intel", device), each, 2.0))
+        for device, each in ((torch.device("cpu"), clip), (GPU, on_gpu(clip)))
+    )
+    for one, other in zip(here, there, strict=True):
+        difference = (other.image.cpu() - one.image).abs().mean()
+        assert difference < 0.01 * one.image.abs().mean()
+
+
 @pytest.mark.parametrize("spp", [0.1, 1.0, 4.0])
 def test_counts_are_those_of_a_processor(spp):
     density = torch.rand(2, 1, 90, 122, generator=torch.Generator().manual_seed(0)) ** 8

@@ -89,6 +89,9 @@ class Timing:
     load_average: float  # when the session began
     threads: int  # of torch
     disturbance: str = ""  # what other programs did, or that frames vary; empty if neither
+    first_use_ms: float = (
+        0.0  # of the first frames beyond later ones: loading, recording, compiling
+    )
 
 
 def time_methods(
@@ -169,6 +172,7 @@ def _summary(session: Session, track: Track, clip: str, load: float) -> Timing:
         load_average=load,
         threads=torch.get_num_threads(),
         disturbance=describe_disturbance(times, len(quiet), len(track.visits), least, load_text),
+        first_use_ms=max(0.0, track.first_ms - track.spent_ms / max(len(track.visits) - 1, 1)),
     )
 
 
@@ -221,7 +225,8 @@ class Track:
 
     frames: Iterator[FrameTime]  # endless
     visits: list[Visit] = field(default_factory=list)
-    spent_ms: float = 0.0
+    first_ms: float = 0.0  # of the first visit, in which a backend may record or compile
+    spent_ms: float = 0.0  # of the later ones
     error: Exception | None = None
     is_done: bool = False
 
@@ -292,8 +297,12 @@ class Session:
         except Exception as error:  # whatever a method may raise is the result of its row
             track.error = error
             return
+        spent = self._now() - start
+        if not track.visits:
+            track.first_ms = spent
+        else:
+            track.spent_ms += spent
         track.visits.append(Visit(readings[UNTIMED:], len(self.calibrations) - 1))
-        track.spent_ms += self._now() - start
 
     def _calibrate(self) -> None:
         self.calibrations.append(self.calibrator.measure())

@@ -143,6 +143,26 @@ def test_a_row_that_fails_does_not_stop_the_others():
     assert timing.inference.p50 == pytest.approx(10.0)
 
 
+@dataclass(frozen=True)
+class Compiled(Worker):
+    """It compiles for a minute before its first frame."""
+
+    seen: list[object] = field(default_factory=list)
+
+    def denoise(self, gbuffer, samples, state):
+        self.machine.work(0.0 if self.seen else 60_000.0)
+        self.seen.append(samples)
+        return super().denoise(gbuffer, samples, state)
+
+
+def test_the_first_use_is_counted_apart():
+    machine = Machine()
+    compiled, plain = time_rows(machine, Compiled(machine), Worker(machine))
+    assert (compiled.first_use_ms, plain.first_use_ms) == pytest.approx((60_000.0, 0.0))
+    assert compiled.inference.mean == pytest.approx(10.0)
+    assert compiled.rounds == plain.rounds  # it is not cut short for the time of its compilation
+
+
 def test_slow_rows_stop_at_the_cap_of_wall_time():
     machine = Machine()
     (timing,) = time_rows(machine, Worker(machine, denoise_ms=2000.0, jitter=0.5))
