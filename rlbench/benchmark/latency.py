@@ -89,9 +89,7 @@ class Timing:
     load_average: float  # when the session began
     threads: int  # of torch
     disturbance: str = ""  # what other programs did, or that frames vary; empty if neither
-    first_use_ms: float = (
-        0.0  # of the first frames beyond later ones: loading, recording, compiling
-    )
+    first_use_ms: float = 0.0  # of the first visit beyond later ones: recording, compiling
 
 
 def time_methods(
