@@ -6,7 +6,9 @@ import ctypes
 import os
 import signal
 import sys
-from collections.abc import Callable
+import threading
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 
 M_TRIM_THRESHOLD, M_MMAP_THRESHOLD = -1, -3  # <malloc.h> of the GNU C library
 GIGABYTE = 2**30
@@ -56,3 +58,23 @@ def end_with_parent() -> Callable[[], None]:
             os._exit(1)
 
     return follow
+
+
+@contextmanager
+def postpone_end() -> Iterator[Callable[[], bool]]:
+    """Let SIGTERM wait until this context ends; the function is True once it came.
+
+    The process then ends, by SystemExit with code 143. In another thread than the main one the
+    function is never True, and the signal does what it did.
+    """
+    came = threading.Event()
+    if threading.current_thread() is not threading.main_thread():
+        yield came.is_set
+        return
+    before = signal.signal(signal.SIGTERM, lambda number, frame: came.set())
+    try:
+        yield came.is_set
+    finally:
+        signal.signal(signal.SIGTERM, before)
+    if came.is_set():
+        raise SystemExit(128 + signal.SIGTERM)

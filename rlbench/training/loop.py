@@ -21,7 +21,7 @@ from rlbench.clips.in_memory import InMemoryClip
 from rlbench.clips.stored import open_clip
 from rlbench.ops.recording import CudaGraphs
 from rlbench.system.folder_lock import locked_folder
-from rlbench.system.process_settings import keep_freed_memory
+from rlbench.system.process_settings import keep_freed_memory, postpone_end
 from rlbench.training import checkpoint, dataset
 from rlbench.training.batches import Batches, prefetch, sequence_budget
 from rlbench.training.checkpoint import (
@@ -85,7 +85,8 @@ def train(
     and its card NAME.toml. `command` and `remark` are recorded in the card; `on_progress` is called
     with progress and loss after each sequence.
 
-    With `config.until_flat` it goes on in cycles until one gains less than that.
+    With `config.until_flat` it goes on in cycles until one gains less than that. At SIGTERM it
+    writes a checkpoint and ends the process.
 
     A finished run is left unchanged. An interrupted run resumes from its last checkpoint; on a CPU
     the final weights are bit-identical to those of an uninterrupted run. A checkpoint with a
@@ -129,8 +130,9 @@ def train(
         renew(batches, further, config, out) as source,
         prefetch(source) as sequence,
         closing(TrainingLogger(out, progress.frames_seen)) as log,
+        postpone_end() as is_to_end,
     ):
-        while progress.fraction_done < 1 and time.monotonic() < stop:
+        while progress.fraction_done < 1 and time.monotonic() < stop and not is_to_end():
             intervals, started = progress.frames_seen // config.eval_interval, time.monotonic()
             learning_rate = task.max_lr * config.lr_factor(progress.cycle_done)
             clip = sequence(progress.sequences)
@@ -148,7 +150,7 @@ def train(
                 next_status = time.monotonic() + STATUS_SECONDS
             on_progress(progress, loss)
         log.write_status(progress, state.read_loss())
-    checkpoint.write(out / CHECKPOINT, state.state_dict(), asdict(progress))
+        checkpoint.write(out / CHECKPOINT, state.state_dict(), asdict(progress))
     note, drawn = "; ".join(filter(None, (remark, limits))), source.digests(progress.sequences)
     save_weights(method, result.weights, state, progress, command, note, described, drawn)
     return result

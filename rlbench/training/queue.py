@@ -48,6 +48,7 @@ from rlbench.system.process_settings import end_with_parent
 OUTPUT = "output.log"  # what a training prints
 BEGINNING, ENDING = "$ rlbench train ", re.compile(r"(exit code|signal) \d+")  # of an attempt
 POLL_S = 0.25
+GRACE_S = 30.0  # in which a training that is stopped may write a checkpoint
 OWN_KEYS = ("method", "name", "after")  # of an entry; the others are options of the command
 THREADS = {name: "1" for name in ("OMP_NUM_THREADS", "MKL_NUM_THREADS", "OPENBLAS_NUM_THREADS")}
 
@@ -169,7 +170,8 @@ def run_queue(
     """Run trainings, at most `at_once` at a time, until none is left, or for some minutes.
 
     What is done is skipped; what failed is tried again, once in a call. Training processes stop
-    with this one, however it ends, and keep their last checkpoint. `on_event` gets a line for each
+    with this one, however it ends. They have half a minute to write a checkpoint, unless this
+    process was killed. `on_event` gets a line for each
     start and end. Raises FolderInUseError where another queue runs in the folder `out`.
     """
     limit = TimeLimit(minutes)
@@ -192,10 +194,20 @@ def run_queue(
                     break
                 time.sleep(POLL_S)
         finally:
-            for process in running.values():
-                if process.poll() is None:  # else its number may be another process's
-                    os.killpg(process.pid, signal.SIGKILL)
-                    process.wait()
+            _stop(list(running.values()))
+
+
+def _stop(processes: Sequence[subprocess.Popen[bytes]]) -> None:
+    """End trainings, after their next checkpoint if that comes soon."""
+    for process in processes:
+        process.terminate()
+    last = time.monotonic() + GRACE_S
+    for process in processes:
+        with suppress(subprocess.TimeoutExpired):
+            process.wait(max(0.0, last - time.monotonic()))
+        if process.poll() is None:  # else its number may be another process's
+            os.killpg(process.pid, signal.SIGKILL)
+            process.wait()
 
 
 def _start(training: Training) -> subprocess.Popen[bytes]:

@@ -134,6 +134,25 @@ def score_validations(monkeypatch, scores: Mapping[int, float]) -> None:
     monkeypatch.setattr(TrainState, "validate", scored)
 
 
+def test_sigterm_ends_a_training_behind_a_checkpoint(tmp_path):
+    registry.use_plugin(write_learner(tmp_path))
+    clip = write_noise(tmp_path / "noise", h=24, w=24)
+    config = TrainingConfig(24, crop=16, sequence_length=3, eval_interval=12)
+
+    def run(out, stops_at=None):
+        def stop(progress, loss):
+            if progress.sequences == stops_at:
+                os.kill(os.getpid(), signal.SIGTERM)
+
+        return train("blur", [clip], [clip], tmp_path / out, config, on_progress=stop).weights
+
+    with pytest.raises(SystemExit, match=str(128 + signal.SIGTERM)):
+        run("stopped", stops_at=5)
+    metadata, _ = checkpoint.read(tmp_path / "stopped" / "checkpoint.safetensors")
+    assert metadata["frames_seen"] == 15  # between two validations
+    assert digest(run("stopped")) == digest(run("undisturbed"))
+
+
 def test_the_weights_of_the_best_validation_are_kept_and_a_kill_loses_none(tmp_path, monkeypatch):
     registry.use_plugin(write_learner(tmp_path))
     clip = write_noise(tmp_path / "noise", h=24, w=24)
