@@ -48,7 +48,7 @@ from rlbench.system.process_settings import end_with_parent
 OUTPUT = "output.log"  # what a training prints
 BEGINNING, ENDING = "$ rlbench train ", re.compile(r"(exit code|signal) \d+")  # of an attempt
 POLL_S = 0.25
-GRACE_S = 30.0  # in which a training that is stopped may write a checkpoint
+GRACE_MINUTES = 0.5  # in which a training that is stopped may write a checkpoint
 OWN_KEYS = ("method", "name", "after")  # of an entry; the others are options of the command
 THREADS = {name: "1" for name in ("OMP_NUM_THREADS", "MKL_NUM_THREADS", "OPENBLAS_NUM_THREADS")}
 
@@ -201,10 +201,10 @@ def _stop(processes: Sequence[subprocess.Popen[bytes]]) -> None:
     """End trainings, after their next checkpoint if that comes soon."""
     for process in processes:
         process.terminate()
-    last = time.monotonic() + GRACE_S
+    grace = TimeLimit(GRACE_MINUTES)
     for process in processes:
         with suppress(subprocess.TimeoutExpired):
-            process.wait(max(0.0, last - time.monotonic()))
+            process.wait(60 * grace.minutes_left)
         if process.poll() is None:  # else its number may be another process's
             os.killpg(process.pid, signal.SIGKILL)
             process.wait()
