@@ -26,7 +26,7 @@ class Tape(TorchDispatchMode):
         super().__init__()
         self.operations: list[tuple[Any, ...]] = []
         self.replays = 0
-        self.made: set[int] = set()  # addresses of what the operations made
+        self.created: set[int] = set()  # addresses of what the operations allocated
         self.before: dict[
             int, tuple[torch.UntypedStorage, torch.UntypedStorage]
         ] = {}  # what they overwrote, and its values
@@ -40,10 +40,10 @@ class Tape(TorchDispatchMode):
             value = values.get(argument.name)
             if argument.alias_info is not None and argument.alias_info.is_write:
                 for storage in map(Tensor.untyped_storage, tensors_of(value)):
-                    if storage.data_ptr() not in self.made | self.before.keys():
+                    if storage.data_ptr() not in self.created | self.before.keys():
                         self.before[storage.data_ptr()] = storage, storage.clone()
         result = func(*args, **(kwargs or {}))
-        self.made |= addresses(result) - addresses((args, kwargs))  # views are of older memory
+        self.created |= addresses(result) - addresses((args, kwargs))  # views are of older memory
         self.operations.append((func, args, kwargs or {}, result))
         return result
 

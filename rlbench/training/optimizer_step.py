@@ -72,13 +72,16 @@ class OptimizerStep:
         Raises TrainingError for an anchor where no weight was trained before.
         """
         self.average = copy.deepcopy(task.networks)
-        self._config, self._max_lr, self._networks = config, task.max_lr, task.networks
-        self._modules = {"the networks": task.networks}
+        self._config, self._max_lr = config, task.max_lr
+        pairs = list(zip(_tensors(self.average), _tensors(task.networks), strict=True))
+        self._floats = [pair for pair in pairs if pair[0].is_floating_point()]
+        self._counters = [pair for pair in pairs if not pair[0].is_floating_point()]
+        modules = {"the networks": task.networks}
         if task.auxiliary_network is not None:
-            self._modules["the auxiliary network"] = task.auxiliary_network
-        modules = self._modules.values()
-        self._layers = [pair for module in modules for pair in module.named_parameters()]
-        norms = [f"gradient norm of {name}" for name in self._modules]
+            modules["the auxiliary network"] = task.auxiliary_network
+        self._weights = [list(module.parameters()) for module in modules.values()]
+        self._layers = [pair for module in modules.values() for pair in module.named_parameters()]
+        norms = [f"gradient norm of {name}" for name in modules]
         self._names = ["loss", *norms, *(name for name, _ in self._layers)]  # of `_values`
         groups = _parameter_groups(task, device)
         on_gpu = device.type == "cuda"
@@ -133,7 +136,7 @@ class OptimizerStep:
 
     def _clip_gradients(self, loss: Tensor) -> None:
         """Scale long gradients down; remember the values, unless those of a fault are there."""
-        layers = [_measure_gradients(list(m.parameters()), loss) for m in self._modules.values()]
+        layers = [_measure_gradients(weights, loss) for weights in self._weights]
         norms = [torch.linalg.vector_norm(each) for each in layers]
         values = torch.cat([torch.stack([loss.float(), *norms]), *layers])
         self._values.copy_(self._values.where(self._failed > 0, values))
@@ -141,8 +144,8 @@ class OptimizerStep:
         self._failed.copy_(torch.maximum(self._failed, is_fault.to(self._failed.dtype)))
         self._loss_sum.add_(loss)
         self._taken.add_(1 - self._failed)
-        for module, norm in zip(self._modules.values(), norms, strict=True):
-            nn.utils.clip_grads_with_norm_(module.parameters(), self._config.max_grad_norm, norm)
+        for weights, norm in zip(self._weights, norms, strict=True):
+            nn.utils.clip_grads_with_norm_(weights, self._config.max_grad_norm, norm)
 
     @torch.no_grad()
     def _move_weights(self) -> None:
@@ -159,14 +162,12 @@ class OptimizerStep:
     def _update_average(self) -> None:
         decay = (self._taken / (self._taken + 9)).clamp(max=self._config.ema_decay)
         share = (1 - decay).to(self._failed.dtype) * (1 - self._failed)
-        pairs = list(zip(_tensors(self.average), _tensors(self._networks), strict=True))
-        averages, currents = zip(*(p for p in pairs if p[0].is_floating_point()), strict=True)
+        averages, currents = zip(*self._floats, strict=True)
         follow = torch._foreach_sub(currents, averages)
         torch._foreach_mul_(follow, share)
         torch._foreach_add_(averages, follow)
-        for average, current in pairs:
-            if not average.is_floating_point():
-                average.copy_(current)
+        for average, current in self._counters:
+            average.copy_(current)
 
 
 def _measure_gradients(weights: Sequence[nn.Parameter], loss: Tensor) -> Float[Tensor, " weights"]:

@@ -66,17 +66,17 @@ def test_a_fault_in_a_recorded_step_is_found_later_and_changes_no_weight():
         frame.pool.radiance.fill_(math.nan)
     for clip in (sequence(0), sequence(0)):
         state.train_sequence(clip, 1.0, 1.0, 0.0)
-    kept = [*state.networks.parameters(), *state.average.parameters()]
-    kept += [
+    tensors = [*state.networks.parameters(), *state.average.parameters()]
+    tensors += [
         each for of_weight in state.step.optimizer.state.values() for each in of_weight.values()
     ]
-    before = [each.clone() for each in kept]
+    before = [each.clone() for each in tensors]
     for clip in (dark, sequence(0)):
         state.train_sequence(clip, 1.0, 1.0, 0.0)
     with pytest.raises(NonFiniteStepError, match="loss is nan at step 4 of the training") as raised:
         state.read_loss()
     assert raised.value.layers == ["weight", "bias"]
-    torch.testing.assert_close(kept, before, rtol=0, atol=0)
+    torch.testing.assert_close(tensors, before, rtol=0, atol=0)
 
 
 def test_a_task_that_draws_numbers_on_the_host_says_so_and_runs_as_it_is():

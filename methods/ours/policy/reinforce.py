@@ -15,7 +15,6 @@ from methods.ours.policy.learner import AllocationProblem, SamplerLearner
 TINY = 1e-8  # avoids a division by zero where all actions have equal results
 MIN_COUNT = 0.1  # samples; smaller usual counts are weighted as this
 
-
 Corner = Int[Tensor, "2"] | tuple[int, int]  # a tensor where a recorded step draws it anew
 
 
