@@ -13,12 +13,17 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
+from rlbench.errors import RlbenchError
 from rlbench.frames import GBuffer, Samples
 from rlbench.method import Method, State
 from rlbench.ops.recording import CudaGraphs, HeldInputs, Kind, Recorder, Tape, kind_of
 from rlbench.wrappers import MethodWrapper
 
-__all__ = ["RecordedMethod"]
+__all__ = ["RecordedMethod", "RecordingError"]
+
+
+class RecordingError(RlbenchError, RuntimeError):
+    """A stage of a method that cannot be recorded, because it asks for values."""
 
 
 @dataclass
@@ -40,7 +45,7 @@ class RecordedMethod(MethodWrapper[Method]):
     (`rlbench.ops.asking.next_age`).
 
     Raises TypeError for a state of other parts than tensors, numbers, text, dataclasses, tuples,
-    lists and dicts.
+    lists and dicts, and RecordingError for a method that asks its tensors for values.
     """
 
     recorder: Recorder = field(default_factory=CudaGraphs)
@@ -68,7 +73,7 @@ class RecordedMethod(MethodWrapper[Method]):
         if tapes is None or not is_recorded or self._skips_plan(tapes, gbuffer, state):
             returned = super().denoise(gbuffer, samples, state)
             if not is_recorded and not torch.is_grad_enabled():
-                self._record(gbuffer, samples, state)
+                self._try_to_record(gbuffer, samples, state)
             self._planned.clear()
             return returned
         if not tapes.plans:
@@ -88,6 +93,16 @@ class RecordedMethod(MethodWrapper[Method]):
         The recorded one reads what `plan` has reprojected.
         """
         return bool(tapes.plans) and not tapes.frame.has_loaded(gbuffer, state)
+
+    def _try_to_record(self, gbuffer: GBuffer, samples: Samples, state: State) -> None:
+        try:
+            self._record(gbuffer, samples, state)
+        except RuntimeError as error:
+            raise RecordingError(
+                f"its frames cannot be recorded: {str(error).partition(chr(10))[0]}. rlbench check "
+                'finds the line that asks; with Traits(eager_reason="...") the method runs without '
+                "recordings, as all do with --backend eager"
+            ) from error
 
     def _record(self, gbuffer: GBuffer, samples: Samples, state: State) -> None:
         """Record the stages that this frame ran, in their order, on the same held objects."""

@@ -32,7 +32,8 @@ class Tape(TorchDispatchMode):
         ] = {}  # what they overwrote, and its values
 
     def __torch_dispatch__(self, func, types, args=(), kwargs=None):
-        assert torch.Tag.data_dependent_output not in func.tags, f"{func} asks for values"
+        if torch.Tag.data_dependent_output in func.tags:
+            raise RuntimeError(f"{func} asks for values")
         values = {a.name: v for a, v in zip(func._schema.arguments, args, strict=False)} | (
             kwargs or {}
         )

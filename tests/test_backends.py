@@ -27,11 +27,16 @@ from rlbench.clips.procedural.clip import procedural_clip
 from rlbench.errors import OptionError
 from rlbench.frames import Size
 from rlbench.method import Method
+from rlbench.ops.recording import CudaGraphs, can_record
 from rlbench.ops.unet import FeatureUNet, UNet
 from rlbench.ops.unet_widths import FAST_WIDTHS
+from rlbench.recorded_method import RecordedMethod, RecordingError
 from rlbench.run import run_clip
 from rlbench.wrappers import HalfPrecision, MethodWrapper
+from tests.conftest import write_plugin
+from tests.tapes import Tapes
 
+CUDA = torch.cuda.is_available()
 CPU = torch.device("cpu")
 LEARNED = [name for name in registry.expand(["all/*"]) if registry.get_variant(name).learned]
 # variants of a family share their networks' layers
@@ -133,11 +138,35 @@ def test_rows_are_named_by_the_backend_and_scores_are_those_of_eager(clip_folder
 
 def test_auto_is_openvino_where_it_is_installed(monkeypatch: pytest.MonkeyPatch):
     assert select_backend("auto", CPU) == "openvino"
-    assert select_backend("auto", torch.device("cuda")) == EAGER
     monkeypatch.setattr(backends, "find_spec", lambda name: None)
     assert select_backend("auto", CPU) == EAGER
     with pytest.raises(OptionError, match=r"pip install 'rlbench\[openvino\]'"):
         select_backend("openvino", CPU)
+
+
+class Forgetful(Tapes):
+    """A recorder whose recordings do nothing."""
+
+    def record(self, function):
+        return (lambda: None), super().record(function)[1]
+
+
+@pytest.mark.parametrize(
+    ("recorder", "device", "expected"),
+    [(Tapes, "cpu", True), (Forgetful, "cpu", False), (CudaGraphs, "cuda", CUDA)],
+)
+def test_graphs_are_chosen_where_a_small_one_is_replayed(recorder, device, expected):
+    assert can_record(recorder(), torch.device(device)) is expected
+    if device == "cuda":
+        assert select_backend("auto", torch.device(device)) == ("graph" if expected else EAGER)
+
+
+def test_a_method_that_asks_is_named_when_it_is_recorded(tmp_path):
+    body = "return samples.mean.clamp(max=float(samples.mean.max())), None"
+    registry.use_plugin(write_plugin(tmp_path / "asking.py", "asking", body=body))
+    recorded = RecordedMethod(registry.load_method("asking", CPU), Tapes())
+    with pytest.raises(RecordingError, match=r"recorded: aten.item.default asks for values.*eager_reason"):
+        list(run_clip(recorded, procedural_clip(0, Size(1, 16, 16), frames=1), 1.0))
 
 
 def test_a_backend_that_cannot_be_used_is_an_error_that_says_why():

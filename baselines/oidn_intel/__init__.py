@@ -11,7 +11,7 @@ __all__ = ["FAMILY", "TRAITS"]
 TRAITS = Traits(
     inputs=frozenset({"albedo", "normal"}),
     spp_range=(1.0, 8.0),
-    eager_reason="Intel's library reads images in the memory of the host",
+    eager_reason="Intel's library runs its network outside of PyTorch",
 )
 INTEL = Variant(
     "How far does the library get with its own weights, trained by Intel on other scenes?",

@@ -1,8 +1,9 @@
 """The clocks of a machine, a stopwatch for the parts of a frame, and how busy the machine is.
 
 A method never times itself. It runs through the same page as in the benchmark, inside a wrapper
-with a stopwatch. The device is synchronized before each reading. A calibration kernel, fixed work,
-shows by its time how busy the machine is.
+with a stopwatch. The device is synchronized before each reading; a GPU's own clock is read beside
+it, by events in its queue. A calibration kernel, fixed work, shows by its time how busy the machine
+is.
 """
 
 from __future__ import annotations
@@ -12,7 +13,7 @@ import os
 import statistics
 import time
 from collections import defaultdict
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from typing import NamedTuple
 
@@ -27,6 +28,7 @@ from rlbench.system import load
 from rlbench.system.load import MIN_PROCESSOR_SHARE
 from rlbench.wrappers import MethodWrapper
 
+PARTS = ("plan", "allocate", "denoise")  # of inference, in the order of a frame
 SETTLE_SECONDS = 0.01  # idle threads of TBB look for work for 1 to 5 ms
 SLOWDOWN = 1.25  # times a quiet calibration; beyond it the machine is busy
 REPEATS = 9  # runs of the kernel in one calibration
@@ -54,6 +56,14 @@ class SystemClock:
         """Time of all threads in the queue for a processor; nan but on Linux and processors."""
         return load.waiting_ms() if self.device.type == "cpu" else math.nan
 
+    def mark(self) -> torch.Event | None:
+        """An event in the device's queue, which has the device's time; None on a processor."""
+        if self.device.type == "cpu":
+            return None
+        event = torch.Event(self.device, enable_timing=True)
+        event.record()
+        return event
+
     def context_switches(self) -> int:
         """Involuntary context switches of this process; 0 where the system does not count them."""
         try:
@@ -75,12 +85,27 @@ class FrameTime(NamedTuple):
     denoise: float
     sample_fetch: float  # reading samples; a renderer traces them instead
     processor: float  # processor time of plan, allocate and denoise, all threads together
+    device: float  # time of the same between events in the device's queue; nan on a processor
     switches: int  # involuntary context switches in the whole frame
 
     @property
     def inference(self) -> float:
         """plan + allocate + denoise."""
         return self.plan + self.allocate + self.denoise
+
+
+class Reading(NamedTuple):
+    """All clocks at one moment."""
+
+    wall: float
+    processor: float
+    mark: torch.Event | None
+
+    def device_ms(self, before: Reading) -> float:
+        """Time of the device since another reading; nan on a processor."""
+        if before.mark is None or self.mark is None:
+            return math.nan
+        return before.mark.elapsed_time(self.mark)
 
 
 @dataclass
@@ -91,19 +116,22 @@ class Stopwatch:
     is_drawing: bool = False  # between `plan` and what follows it: samples are drawn
     _parts: defaultdict[str, float] = field(default_factory=lambda: defaultdict(float))
     _processor: defaultdict[str, float] = field(default_factory=lambda: defaultdict(float))
-    _last: tuple[float, float] = (0.0, 0.0)
+    _device: defaultdict[str, float] = field(default_factory=lambda: defaultdict(float))
+    _last: Reading = Reading(0.0, 0.0, None)
     _switches: int = 0
 
     def charge(self, part: str) -> None:
         """Charge the time since the last reading to `part`."""
-        before, processor_before = self._last
+        before = self._last
         self.skip()
-        self._parts[part] += self._last[0] - before
-        self._processor[part] += self._last[1] - processor_before
+        self._parts[part] += self._last.wall - before.wall
+        self._processor[part] += self._last.processor - before.processor
+        self._device[part] += self._last.device_ms(before)
 
     def skip(self) -> None:
         """Charge the time since the last reading to nothing."""
-        self._last = self.clock.wall_ms(), self.clock.processor_ms()
+        mark = self.clock.mark()  # before the device is waited for
+        self._last = Reading(self.clock.wall_ms(), self.clock.processor_ms(), mark)
 
     def end_drawing(self) -> None:
         """Begin a part; the time since `plan` went into turning its density into counts."""
@@ -119,20 +147,28 @@ class Stopwatch:
         A method that does not adapt has the same counts in every frame, so allocation costs it
         nothing.
         """
-        switches, (parts, processor) = self.clock.context_switches(), (self._parts, self._processor)
+        switches, parts = self.clock.context_switches(), self._parts
+        times = (parts, self._processor, self._device)
         if not is_adaptive:
-            parts["allocate"] = processor["allocate"] = 0.0
+            for each in times:
+                each["allocate"] = 0.0
         reading = FrameTime(
             plan=parts["plan"],
             allocate=parts["allocate"],
             denoise=parts["denoise"],
             sample_fetch=parts["sample_fetch"],
-            processor=sum(processor[name] for name in ("plan", "allocate", "denoise")),
+            processor=_inference(self._processor),
+            device=_inference(self._device),
             switches=switches - self._switches,
         )
-        self._parts, self._processor = defaultdict(float), defaultdict(float)
+        for each in times:
+            each.clear()
         self._switches = switches
         return reading
+
+
+def _inference(times: Mapping[str, float]) -> float:
+    return sum(times[name] for name in PARTS)
 
 
 @dataclass(frozen=True)

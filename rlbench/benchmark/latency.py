@@ -20,6 +20,7 @@ from typing import NamedTuple, TypeVar
 import torch
 
 from rlbench.benchmark.clock import (
+    PARTS,
     Calibration,
     Calibrator,
     FrameTime,
@@ -38,7 +39,6 @@ from rlbench.system.load import MIN_PROCESSOR_SHARE, estimate_quiet_ms, fastest_
 from rlbench.system.process_settings import keep_freed_memory
 
 REPEATS = 10  # timed frames of a row, at least
-PARTS = ("plan", "allocate", "denoise")  # of inference, in the order of a frame
 UNTIMED, TIMED = 1, 3  # frames of a row in each round
 MIN_ROUNDS = 3
 MAX_SECONDS = 20.0  # of one row, once it has `min_rounds`
@@ -89,6 +89,7 @@ class Timing:
     load_average: float  # when the session began
     threads: int  # of torch
     disturbance: str = ""  # what other programs did, or that frames vary; empty if neither
+    device_share: float = math.nan  # time by a GPU's own clock / wall time; nan on a processor
     first_use_ms: float = 0.0  # of the first visit beyond later ones: recording, compiling
 
 
@@ -165,6 +166,7 @@ def _summary(session: Session, track: Track, clip: str, load: float) -> Timing:
         rounds=len(visits),
         half_width=half / inference.p50 if inference.p50 else 0.0,
         processor_share=sum(f.processor for f in frames) / (sum(times) or 1.0),
+        device_share=sum(f.device for f in frames) / (sum(times) or 1.0),
         calibration_ratio=statistics.median(ratios),
         switches=statistics.fmean(frame.switches for frame in frames),
         load_average=load,

@@ -26,8 +26,8 @@ from torch.utils.flop_counter import FlopCounterMode
 
 from rlbench import registry
 from rlbench.backends import EAGER
-from rlbench.benchmark.clock import SystemClock
-from rlbench.benchmark.latency import PARTS, REPEATS, TimedRow, Timing, device_name, time_methods
+from rlbench.benchmark.clock import PARTS, SystemClock
+from rlbench.benchmark.latency import REPEATS, TimedRow, Timing, device_name, time_methods
 from rlbench.benchmark.results import interval_columns, mark_uncertainty, uncertainty
 from rlbench.benchmark.run_plan import build_method
 from rlbench.clips.in_memory import InMemoryClip

@@ -24,9 +24,10 @@ from typing import Any
 from rlbench import registry
 from rlbench.backends import EAGER
 from rlbench.benchmark import cost, latency
+from rlbench.benchmark.clock import PARTS
 from rlbench.benchmark.cost import FULL_FRAME, Cost, Scatter
 from rlbench.benchmark.cost_profile import CostProfile, ProfileTime
-from rlbench.benchmark.latency import PARTS, TimedRow, Timing
+from rlbench.benchmark.latency import TimedRow, Timing
 from rlbench.benchmark.results import (
     CLOCK_PREFIX,
     TWO_DEVICES,
@@ -390,6 +391,10 @@ def _clock_rows(template: Row, timing: Timing) -> Iterator[Row]:
         "rounds": (timing.rounds, "rounds that these frames come from"),
         "interval": (timing.half_width, "half width of the 95 % interval / median inference"),
         "processor_share": (timing.processor_share, "processor time / wall time of inference"),
+        "device_share": (
+            timing.device_share,
+            "time of the device's clock / wall time of inference",
+        ),
         "calibration": (timing.calibration_ratio, "calibration kernel / that of a quiet moment"),
         "context_switches": (timing.switches, "involuntary context switches per frame"),
         "load": (timing.load_average, "load average of one minute before the first round"),

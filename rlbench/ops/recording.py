@@ -26,6 +26,7 @@ __all__ = [
     "RecordedFunction",
     "Recorder",
     "Tape",
+    "can_record",
     "kind_of",
 ]
 
@@ -154,6 +155,16 @@ class RecordedFunction(Generic[T]):
         held, tape = self._tapes[kind]
         held.load(*arguments)
         return tape.run()
+
+
+def can_record(recorder: Recorder, device: torch.device) -> bool:
+    """True if a small function, recorded on the device, holds for other inputs."""
+    double = RecordedFunction(lambda value: 2 * value, recorder)
+    try:
+        found = [double(torch.full((2,), value, device=device)).tolist() for value in (1.0, 3.0)]
+    except (AssertionError, RuntimeError):  # PyTorch without CUDA; a device that has no graphs
+        return False
+    return found == [[2.0, 2.0], [6.0, 6.0]]
 
 
 def kind_of(value: Any) -> Kind:

@@ -12,6 +12,16 @@ from rlbench.benchmark.clock import Calibrator
 from rlbench.family import Traits
 
 
+@dataclass(frozen=True)
+class Mark:
+    """A moment of the device's clock."""
+
+    ms: float
+
+    def elapsed_time(self, end):
+        return end.ms - self.ms
+
+
 @dataclass
 class Machine:
     """Work takes its time x the slowdown at that moment; other programs take processor share."""
@@ -23,6 +33,7 @@ class Machine:
     waiting: float = 0.0
     switches: int = 0
     busy_threads: int = 0  # of this process, which look for work and find none
+    device_share: float = math.nan  # of the time, which a device's clock counts
 
     def wall_ms(self):
         return self.now
@@ -32,6 +43,9 @@ class Machine:
 
     def waiting_ms(self):
         return self.waiting
+
+    def mark(self):
+        return None if math.isnan(self.device_share) else Mark(self.now * self.device_share)
 
     def context_switches(self):
         return self.switches

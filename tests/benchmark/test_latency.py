@@ -48,6 +48,14 @@ def test_on_a_quiet_machine_the_time_is_exact_and_its_interval_narrow():
     assert timing.processor_share == timing.calibration_ratio == pytest.approx(1.0)
 
 
+@pytest.mark.parametrize("share", [math.nan, 0.75])
+def test_the_clock_of_a_device_is_read_beside_that_of_the_wall(share):
+    machine = Machine(device_share=share)
+    (timing,) = time_rows(machine, Worker(machine))
+    assert timing.device_share == pytest.approx(share, nan_ok=True)
+    assert timing.inference.mean == pytest.approx(10.0)
+
+
 @pytest.mark.parametrize("phase", [(0, 100), (60, 250), (100, 400)])
 def test_a_slow_phase_does_not_change_the_median(phase):
     start, end = phase

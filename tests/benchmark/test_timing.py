@@ -10,9 +10,10 @@ import torch
 
 from rlbench.benchmark import latency
 from rlbench.benchmark.clip_sources import StoredSource
+from rlbench.benchmark.clock import PARTS
 from rlbench.benchmark.cost import Cost, Scatter
 from rlbench.benchmark.cost_profile import ProfileTime
-from rlbench.benchmark.latency import PARTS, PartTime, Timing
+from rlbench.benchmark.latency import PartTime, Timing
 from rlbench.benchmark.results import Row
 from rlbench.benchmark.run_plan import CellLoader, RunPlan, list_cells
 from rlbench.benchmark.timing import (

@@ -1,7 +1,27 @@
-"""Clips rendered by Mitsuba and Cycles: presets, scenes by name and by file, live samples."""
+"""Clips rendered by Mitsuba and Cycles: presets, scenes by name and by file, live samples.
+
+What a package with a scene imports, when it is first used:
+
+    >>> from rlbench.apps.render import Camera
+    >>> Camera(origin=(0, -4, 2), target=(0, 0, 0)).fov
+    60.0
+"""
+
+from typing import TYPE_CHECKING
+
+import lazy_loader
 
 from rlbench.cli.commands import FRAMES
 from rlbench.registry.apps import App, CommandEntry
+
+if TYPE_CHECKING:
+    from rlbench.apps.render.scene import Camera, Mesh, Scene, Take
+
+__all__ = ["APP", "Camera", "Mesh", "Scene", "Take"]
+
+__getattr__, __dir__, _ = lazy_loader.attach(
+    __name__, submod_attrs={"scene": ["Camera", "Mesh", "Scene", "Take"]}
+)
 
 _HERE = "rlbench.apps.render"
 APP = App(
