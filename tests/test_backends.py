@@ -165,7 +165,7 @@ def test_a_method_that_asks_is_named_when_it_is_recorded(tmp_path):
     body = "return samples.mean.clamp(max=float(samples.mean.max())), None"
     registry.use_plugin(write_plugin(tmp_path / "asking.py", "asking", body=body))
     recorded = RecordedMethod(registry.load_method("asking", CPU), Tapes())
-    with pytest.raises(RecordingError, match=r"recorded: aten.item.default asks for values.*eager_reason"):
+    with pytest.raises(RecordingError, match=r"recorded: aten.item.*eager_reason"):
         list(run_clip(recorded, procedural_clip(0, Size(1, 16, 16), frames=1), 1.0))
 
 

@@ -149,6 +149,7 @@ def denoise(
     from rlbench.apps.dumps.denoising.shot import denoise_sequence
     from rlbench.apps.dumps.importers.sequence import parse_frame_range
     from rlbench.backends import EAGER, use_backend
+    from rlbench.benchmark.clock import SystemClock
     from rlbench.benchmark.planning import select_device
     from rlbench.cli import console
     from rlbench.system.paths import check_writable
@@ -174,6 +175,8 @@ def denoise(
         loaded, label = use_backend(loaded, runs_by, chosen), f"{label} on {runs_by}"
     for note in (*_notes(method, shots[0]), *_check_memory(method, loaded, shots)):
         typer.echo(f"note: {note}")
+    clock = SystemClock(chosen)
+    began = clock.wall_ms()
     with console.counting("denoising", sum(map(len, shots))) as on_frame:
         summaries = [
             denoise_sequence(
@@ -181,6 +184,7 @@ def denoise(
             )
             for shot in shots
         ]
+    seconds = (clock.wall_ms() - began) / 1e3
     for shot, summary in zip(shots, summaries, strict=True):
         count = f"{summary.written} frame{'s' * (summary.written != 1)}"
         typer.echo(
@@ -190,6 +194,8 @@ def denoise(
             typer.echo(f"  {note}")
         for image, pixels in sorted(summary.repairs.items()):
             typer.echo(f"  {image}: {pixels} invalid pixels were replaced")
+    if written := sum(summary.written for summary in summaries):
+        typer.echo(f"{written / seconds:.2g} frames a second, with reading and writing files")
 
 
 def _choose_backend(method: str, backend: str, device: torch.device) -> str:
