@@ -1,4 +1,7 @@
-"""Mitsuba's variants as fixtures: `llvm` skips without a libLLVM, `variant` runs both variants."""
+"""Mitsuba's variants as fixtures, and a server of a scene.
+
+`llvm` skips without a libLLVM, `variant` runs both variants.
+"""
 
 from __future__ import annotations
 
@@ -9,6 +12,7 @@ import pytest
 
 from rlbench.apps.render.mitsuba.variant import find_libraries, select_variant
 from rlbench.system import paths
+from tests.scene_server import SceneServer
 
 NO_LLVM = "no usable libLLVM on this machine (apt-get install libllvm19)"
 
@@ -29,6 +33,22 @@ def variant(request):
     if request.param == "llvm_ad_rgb":
         request.getfixturevalue("llvm")
     return select_variant(request.param)
+
+
+@pytest.fixture(autouse=True)
+def _no_settings(monkeypatch):
+    """No mirror or server of the user."""
+    for name in ("RLBENCH_SCENES", "RLBENCH_SCENES_URL", "RLBENCH_SCENES_API"):
+        monkeypatch.delenv(name, raising=False)
+
+
+@pytest.fixture
+def server(tmp_path, _no_settings):
+    """A server of the scene `attic`, which is pinned."""
+    served = SceneServer(tmp_path / "repository")
+    served.write_pin()
+    yield served
+    served.close()
 
 
 @pytest.fixture(autouse=True)
