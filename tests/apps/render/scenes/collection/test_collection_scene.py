@@ -16,14 +16,8 @@ from rlbench.apps.render.scenes.collection.pins import Pin, PinnedFile, blob_id,
 from rlbench.apps.render.scenes.collection.scene import collection_scene
 from rlbench.clips.header import read_header
 from rlbench.clips.presets import PRESETS, Preset
-from tests.apps.render.user.test_wander import FURNITURE, LAMPS, WALLS, _box
-from tests.apps.render.user.xml_room import document
+from tests.apps.render.user.test_wander import write_flat
 
-SENSOR = (
-    '<sensor type="perspective"><float name="fov" value="70"/><transform name="toWorld">'
-    '<lookat origin="-2.5, 1.4, 0.6" target="0, 1.2, -0.3" up="0, 1, 0"/></transform></sensor>'
-    '<shape type="obj"><string name="filename" value="flag.obj"/></shape>'
-)
 PRESET = Preset("small", "tests", (16, 24), frames=2, reference_spp=2, pool_spp=2)
 
 
@@ -34,8 +28,7 @@ def attic(tmp_path, monkeypatch):
     monkeypatch.setenv(catalog.MIRROR_VARIABLE, str(tmp_path / "mirror"))
     select_variant()
     folder = tmp_path / "mirror" / "attic"
-    boxes = "".join(_box(*box) for box in (*WALLS, *FURNITURE))
-    document(folder, SENSOR + boxes + LAMPS)
+    write_flat(folder, '<shape type="obj"><string name="filename" value="flag.obj"/></shape>')
     files = tuple(
         PinnedFile(path.name, blob_id(path), path.stat().st_size)
         for path in (folder / "scene.xml", folder / "flag.obj")
