@@ -10,6 +10,7 @@ from contextlib import contextmanager
 
 import pytest
 
+from rlbench import registry
 from rlbench.apps.render.mitsuba.variant import find_libraries, select_variant
 from rlbench.system import paths
 from tests.scene_server import SceneServer
@@ -85,3 +86,10 @@ def own_cache(tmp_path_factory):
         patch.setenv("RLBENCH_CACHE", str(tmp_path_factory.mktemp("cache")))
         patch.setattr(paths, "_synchronize", lambda path: None)
         yield
+
+
+def install_scene(patch, name, plugin):
+    """Let `plugin` be the only installed scene."""
+    names, load = registry.list_plugins, registry.load_plugin
+    patch.setattr(registry, "list_plugins", lambda g: [name] if g == "scenes" else names(g))
+    patch.setattr(registry, "load_plugin", lambda g, n: plugin if g == "scenes" else load(g, n))

@@ -11,7 +11,6 @@ import pytest
 import torch
 
 import rlbench
-from rlbench import registry
 from rlbench.apps.render.jobs.job import Job
 from rlbench.apps.render.jobs.live_pool import (
     LiveClip,
@@ -22,7 +21,6 @@ from rlbench.apps.render.jobs.live_pool import (
 )
 from rlbench.apps.render.jobs.render_clips import render_clip, scene_of_clip
 from rlbench.apps.render.mitsuba.open_tracer import open_tracer
-from rlbench.apps.render.mitsuba.tracer import STREAMS
 from rlbench.apps.render.mitsuba.variant import select_variant
 from rlbench.benchmark.clip_sources import StoredSource, open_source
 from rlbench.benchmark.cost import FULL_FRAME
@@ -35,7 +33,7 @@ from rlbench.clips.stored import open_clip
 from rlbench.family import Traits
 from rlbench.run import run_clip
 from rlbench.sampling import draw_samples
-from tests.apps.render.conftest import check_no_kernel_is_compiled, launches, own_cache
+from tests.apps.render.conftest import install_scene, launches, own_cache
 from tests.apps.render.small_scenes import grey, room
 from tests.conftest import write_noise
 
@@ -66,15 +64,12 @@ def glaring():
     return replace(room(), meshes=(*others, replace(lamp, emission=emission)))
 
 
-def render_scene(folder, scene, preset=PRESET):
-    render_clip(Job("room", scene, preset, folder))
-    return folder
-
-
 @pytest.fixture(scope="module")
 def rendered_room(usable_llvm, tmp_path_factory):
     with own_cache(tmp_path_factory):
-        return render_scene(tmp_path_factory.mktemp("live") / "room", room())
+        folder = tmp_path_factory.mktemp("live") / "room"
+        render_clip(Job("room", room(), PRESET, folder))
+        return folder
 
 
 def open_both(folder, scene, seed=0, **more):
@@ -98,22 +93,16 @@ def test_a_method_makes_the_same_images_of_live_and_of_stored_samples(llvm, rend
     assert torch.equal(images(live, spp), images(stored, spp))
 
 
-def test_without_llvm_live_and_stored_images_are_the_same_too(tmp_path):
-    select_variant("scalar_rgb")
-    stored, live = open_both(render_scene(tmp_path, room()), room())
-    assert torch.equal(images(live, 0.7), images(stored, 0.7))
-
-
-def test_capped_samples_are_the_same_live(llvm, tmp_path):
-    folder = render_scene(tmp_path, room(), PRESET.with_radiance_cap(0.25))
-    stored, live = open_both(folder, room(), radiance_cap=0.25 / room().exposure)
-    assert torch.equal(images(live, 2.0), images(stored, 2.0))
-
-
-def test_samples_that_were_stored_as_float_are_the_same_live(llvm, tmp_path):
-    stored, live = open_both(render_scene(tmp_path, glaring()), glaring())
-    assert channel_dtype(tmp_path / "pool.path.0000.exr", "s0.R") == np.float32
-    assert torch.equal(images(live, 2.0), images(stored, 2.0))
+@pytest.mark.parametrize("case", ["scalar", "capped", "stored as float"])
+def test_special_samples_are_the_same_live(request, tmp_path, case):
+    select_variant("scalar_rgb") if case == "scalar" else request.getfixturevalue("llvm")
+    scene = glaring() if case == "stored as float" else room()
+    cap = 0.25 if case == "capped" else np.inf
+    render_clip(Job("room", scene, PRESET.with_radiance_cap(cap), tmp_path))
+    stored, live = open_both(tmp_path, scene, radiance_cap=cap / scene.exposure)
+    dtype = channel_dtype(tmp_path / "pool.path.0000.exr", "s0.R")
+    assert (dtype == np.float32) == (case == "stored as float")
+    assert torch.equal(images(live, 1.7), images(stored, 1.7))
 
 
 def test_a_frame_kept_by_the_caller_still_returns_its_own_samples(llvm, rendered_room):
@@ -139,18 +128,12 @@ def test_each_sample_drawn_is_one_path_and_nothing_else_is_traced(llvm, rendered
     assert sizes == [4, 38 - 4, 346 - 38, 1536 - 346]
 
 
-def test_nothing_is_compiled_after_the_first_frame(llvm, rendered_room):
-    _, live = open_both(rendered_room, room())
-    images(live, 1.0)
-    check_no_kernel_is_compiled(lambda: [images(live, spp) for spp in (0.003, 0.01, 0.5, 3.7)])
-
-
-def maps(h, w):
+def maps():
     """Random counts of 0 to 8 samples per pixel: in total one, none, two, 0.01 spp, and more."""
     random = np.random.default_rng(0)
-    for drawn in (1, 0, 2, round(0.01 * h * w), h * w // 3, 3 * h * w):
-        counts = np.bincount(random.integers(0, h * w, drawn), minlength=h * w)
-        yield torch.from_numpy(np.minimum(counts, 8)).view(1, 1, h, w)
+    for drawn in (1, 0, 2, round(0.01 * H * W), H * W // 3, 3 * H * W):
+        counts = np.bincount(random.integers(0, H * W, drawn), minlength=H * W)
+        yield torch.from_numpy(np.minimum(counts, 8)).view(1, 1, H, W)
 
 
 @pytest.mark.parametrize(
@@ -168,7 +151,7 @@ def test_no_map_of_counts_compiles_a_kernel_and_each_costs_its_sum(llvm, name):
     first.read(first.empty(), torch.ones(1, 1, H, W, dtype=torch.int64))
     for time in (1.0, 2.0):
         later = pool(time)
-        for counts in maps(H, W):
+        for counts in maps():
             kernels, _ = launches(partial(later.read, later.empty(), counts))
             assert all(kernel["cache_hit"] for kernel in kernels)
             drawn = int(counts.sum())
@@ -176,26 +159,10 @@ def test_no_map_of_counts_compiles_a_kernel_and_each_costs_its_sum(llvm, name):
             assert [k["size"] for k in kernels] == [max(drawn, 2)] * (drawn > 0)
 
 
-def test_seeds_and_caps_of_other_clips_compile_no_kernel(llvm):
-    tracer = open_tracer(room(), H, W)
-    pixels = np.arange(50)
-    tracer.trace(pixels, pixels)
-    tracer.seed, tracer.radiance_cap = 12, 0.5
-    check_no_kernel_is_compiled(lambda: [tracer.trace(pixels, pixels, s) for s in STREAMS])
-
-
 @pytest.fixture
 def folder(llvm, rendered_room, tmp_path, monkeypatch):
     """A clip of the installed scene `room`."""
-    found = {name: getattr(registry, name) for name in ("list_plugins", "load_plugin")}
-    for name, scenes in (("list_plugins", ["room"]), ("load_plugin", room)):
-        monkeypatch.setattr(
-            registry,
-            name,
-            lambda group, *rest, name=name, scenes=scenes: (
-                scenes if group == "scenes" else found[name](group, *rest)
-            ),
-        )
+    install_scene(monkeypatch, "room", room)
     return shutil.copytree(rendered_room, tmp_path / "room")
 
 

@@ -24,7 +24,7 @@ from rlbench.clips.header import ClipError, read_header, write_header
 from rlbench.clips.presets import PRESETS, Preset
 from rlbench.clips.stored import open_clip, verify
 from rlbench.ops.reprojection import reproject
-from tests.apps.render.conftest import own_cache
+from tests.apps.render.conftest import install_scene, own_cache
 from tests.apps.render.small_scenes import diffuse, room, room_with_takes
 
 PRESET = Preset("test", "tests", (16, 24), frames=3, reference_spp=2, pool_spp=3)
@@ -167,21 +167,15 @@ def test_a_generated_scene_without_a_seed_is_an_error(name):
         scene_of_clip(name)
 
 
-def install(patch):
-    """Let `room_with_takes` be the only installed scene."""
-    patch.setattr(registry, "list_plugins", lambda group: ["room"])
-    patch.setattr(registry, "load_plugin", lambda group, name: room_with_takes)
-
-
 @pytest.fixture
 def installed(monkeypatch):
-    install(monkeypatch)
+    install_scene(monkeypatch, "room", room_with_takes)
 
 
 @pytest.fixture(scope="module")
 def clips(usable_llvm, tmp_path_factory):
     with own_cache(tmp_path_factory), pytest.MonkeyPatch.context() as patch:
-        install(patch)
+        install_scene(patch, "room", room_with_takes)
         jobs = preset_jobs(TAKES_PRESET, folder=tmp_path_factory.mktemp("takes"))
         return {folder.name: folder for folder in render_missing(jobs)}
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import shutil
 import subprocess
 import sys
 from pathlib import Path
@@ -61,18 +60,6 @@ def test_the_library_of_the_wheel_is_found_wherever_pip_puts_it(tmp_path, monkey
     monkeypatch.setattr(sys, "path", [str(packages)])
     (found,) = variant.wheel_files()
     assert found.resolve() == tmp_path / "lib" / "libLLVM.so.23.1"
-
-
-def test_a_library_that_needs_a_missing_one_says_which(tmp_path, monkeypatch):
-    """The wheel's library needs libatomic, which a bare container lacks."""
-    libraries = [path.resolve() for path in variant.wheel_files()]
-    if not libraries:
-        pytest.skip(f"the wheel {variant.WHEEL} is not installed")
-    alone = tmp_path / libraries[0].name  # away from the libc++ that lies beside it
-    shutil.copy(libraries[0], alone)
-    monkeypatch.setenv("DRJIT_LIBLLVM_PATH", str(alone))
-    done = run_python(f"{IMPORT}; print(variant.find_libraries()[0].fault)")
-    assert "libc++.so.1: cannot open shared object file" in done.stdout
 
 
 def test_without_llvm_the_variant_is_scalar_with_a_hint_to_install_llvm(false_library):

@@ -139,22 +139,19 @@ def test_about_one_scene_in_eight_is_static(many_scenes):
     assert 6 <= sum(each.static for each in many_scenes) <= 12
 
 
-def test_meshes_are_few_and_named_apart(training_scenes):
-    for names in ([mesh.name for mesh in each.meshes] for each in training_scenes):
+def test_meshes_are_few_named_apart_and_valid(training_scenes):
+    for each in training_scenes:
+        names = [mesh.name for mesh in each.meshes]
         assert len(names) == len(set(names)) <= 20  # 5 ms a launch
-
-
-def test_faces_are_valid(training_scenes):
-    for mesh in (mesh for each in training_scenes for mesh in each.meshes):
-        assert mesh.vertices.dtype == np.float32
-        assert mesh.faces.dtype == np.uint32
-        assert mesh.uv is not None
-        assert mesh.uv.shape == (len(mesh.vertices), 2)
-        assert np.isfinite(mesh.vertices).all()
-        assert np.isfinite(mesh.uv).all()
-        assert mesh.faces.max() < len(mesh.vertices)
-        a, b, c = np.moveaxis(mesh.vertices[mesh.faces].astype(np.float64), 1, 0)
-        assert np.linalg.norm(np.cross(b - a, c - a), axis=-1).min() > 0, mesh.name
+        for mesh in each.meshes:
+            assert (mesh.vertices.dtype, mesh.faces.dtype) == (np.float32, np.uint32)
+            assert mesh.uv is not None
+            assert mesh.uv.shape == (len(mesh.vertices), 2)
+            assert np.isfinite(mesh.vertices).all()
+            assert np.isfinite(mesh.uv).all()
+            assert mesh.faces.max() < len(mesh.vertices)
+            a, b, c = np.moveaxis(mesh.vertices[mesh.faces].astype(np.float64), 1, 0)
+            assert np.linalg.norm(np.cross(b - a, c - a), axis=-1).min() > 0, mesh.name
 
 
 def test_moving_parts_are_meshes_of_the_scene(training_scenes):

@@ -35,11 +35,3 @@ def test_merge_keeps_every_triangle_where_it_was():
     merged = shapes.merge(*parts)
     apart = np.concatenate([part.vertices[part.faces] for part in parts])
     assert np.array_equal(merged.vertices[merged.faces], apart)
-
-
-def test_yaw_by_90_degrees_takes_x_to_y():
-    assert np.allclose(shapes.yaw_matrix(np.pi / 2) @ (1, 0, 0), (0, 1, 0), atol=1e-6)
-
-
-def test_paint_maps_to_the_middle_of_a_texel():
-    assert np.allclose(shapes.paint(shapes.icosphere(0), 2, 8).uv, (2.5 / 8, 0.5))

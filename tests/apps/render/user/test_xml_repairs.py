@@ -55,37 +55,33 @@ def _radiance(folder, bsdf, skip_missing=False, light='<emitter type="constant"/
     return open_tracer(scene, 8, 8).trace_mean(256, "pilot").mean((0, 1))
 
 
+DIFFUSE, SPECULAR = ("rgb", "diffuseReflectance"), ("rgb", "specularReflectance")
+BLEND = "a blend of diffuse and roughconductor"
+
+
 @pytest.mark.parametrize(
-    ("bsdf", "albedo", "kind"),
+    ("plugin", "properties", "albedo", "kind"),
     [
+        ("ward", [(*DIFFUSE, ".5 .3 .1"), (*SPECULAR, "0.4")], (0.9, 0.7, 0.5), BLEND),
+        ("ward", [("float", "alphaV", "0.2")], (0.7, 0.7, 0.7), BLEND),
         (
-            '<bsdf type="ward" id="b"><rgb name="diffuseReflectance" value="0.5 0.3 0.1"/><rgb '
-            'name="specularReflectance" value="0.4"/><float name="alphaV" value="0.2"/></bsdf>',
-            (0.9, 0.7, 0.5),
-            "a blend of diffuse and roughconductor",
-        ),
-        ('<bsdf type="ward" id="b"/>', (0.7, 0.7, 0.7), "a blend of diffuse and roughconductor"),
-        (
-            '<bsdf type="ward" id="b"><rgb name="diffuseReflectance" value="0 0 0"/><rgb '
-            'name="specularReflectance" value="0.9 0.8 0.7"/><string name="variant" '
-            'value="balanced"/></bsdf>',
+            "ward",
+            [(*DIFFUSE, "0 0 0"), (*SPECULAR, ".9 .8 .7"), ("string", "variant", "balanced")],
             (0.9, 0.8, 0.7),
             "roughconductor",
         ),
-        (
-            '<bsdf type="phong" id="b"><float name="exponent" value="200"/><spectrum '
-            'name="specularReflectance" value="0"/></bsdf>',
-            (0.5, 0.5, 0.5),
-            "a blend of diffuse and roughconductor",
-        ),
+        ("phong", [("float", "exponent", "200"), (*SPECULAR, "0")], (0.5, 0.5, 0.5), BLEND),
     ],
 )
-def test_an_old_glossy_bsdf_keeps_the_sum_of_its_reflectances(llvm, tmp_path, bsdf, albedo, kind):
+def test_an_old_glossy_bsdf_keeps_the_sum_of_its_reflectances(
+    llvm, tmp_path, plugin, properties, albedo, kind
+):
+    inner = "".join(f'<{kind} name="{name}" value="{value}"/>' for kind, name, value in properties)
+    bsdf = f'<bsdf type="{plugin}" id="b">{inner}</bsdf>'
     # 16384 samples, and a microfacet lobe of roughness 0.2 loses about 1 % to masking
     np.testing.assert_allclose(_radiance(tmp_path, bsdf), albedo, atol=0.015)
     notes = xml_scene.read_settings(XmlFile(tmp_path / "scene.xml")).notes
-    name = bsdf.split('"')[1]
-    assert notes == [f"BSDF {name} is rendered as {kind} (line 1)"]
+    assert notes == [f"BSDF {plugin} is rendered as {kind} (line 1)"]
 
 
 WOOD = (

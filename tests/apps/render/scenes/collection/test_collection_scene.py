@@ -16,6 +16,7 @@ from rlbench.apps.render.scenes.collection.pins import Pin, PinnedFile, blob_id,
 from rlbench.apps.render.scenes.collection.scene import collection_scene
 from rlbench.clips.header import read_header
 from rlbench.clips.presets import PRESETS, Preset
+from tests.apps.render.conftest import install_scene
 from tests.apps.render.user.test_wander import write_flat
 
 PRESET = Preset("small", "tests", (16, 24), frames=2, reference_spp=2, pool_spp=2)
@@ -74,10 +75,7 @@ def test_missing_files_change_the_scene_and_are_refused_in_a_reported_clip(attic
     after = collection_scene("attic", 1)
     assert after.source_hash != before.source_hash
     assert after.inspect(1, (16, 24)).missing_files == ("flag.obj",)
-    monkeypatch.setattr("rlbench.registry.list_plugins", lambda group: ["attic"])
-    monkeypatch.setattr(
-        "rlbench.registry.load_plugin", lambda group, name: partial(collection_scene, name)
-    )
+    install_scene(monkeypatch, "attic", partial(collection_scene, "attic"))
     reported = Preset("shown", "tests", (16, 24), 2, 2, ("attic-001",))
     with pytest.raises(SceneError, match=r"misses 1 files, such as flag.obj: run `rlbench scenes"):
         preset_jobs(reported)
