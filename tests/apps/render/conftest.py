@@ -1,4 +1,7 @@
-"""Mitsuba's variants as fixtures: `llvm` skips without a libLLVM, `variant` runs both variants."""
+"""Mitsuba's variants as fixtures, and a server of a scene.
+
+`llvm` skips without a libLLVM, `variant` runs both variants.
+"""
 
 from __future__ import annotations
 
@@ -7,8 +10,10 @@ from contextlib import contextmanager
 
 import pytest
 
+from rlbench import registry
 from rlbench.apps.render.mitsuba.variant import find_libraries, select_variant
 from rlbench.system import paths
+from tests.scene_server import SceneServer
 
 NO_LLVM = "no usable libLLVM on this machine (apt-get install libllvm19)"
 
@@ -29,6 +34,22 @@ def variant(request):
     if request.param == "llvm_ad_rgb":
         request.getfixturevalue("llvm")
     return select_variant(request.param)
+
+
+@pytest.fixture(autouse=True)
+def _no_settings(monkeypatch):
+    """No mirror or server of the user."""
+    for name in ("RLBENCH_SCENES", "RLBENCH_SCENES_URL", "RLBENCH_SCENES_API"):
+        monkeypatch.delenv(name, raising=False)
+
+
+@pytest.fixture
+def server(tmp_path, _no_settings):
+    """A server of the scene `attic`, which is pinned."""
+    served = SceneServer(tmp_path / "repository")
+    served.write_pin()
+    yield served
+    served.close()
 
 
 @pytest.fixture(autouse=True)
@@ -65,3 +86,10 @@ def own_cache(tmp_path_factory):
         patch.setenv("RLBENCH_CACHE", str(tmp_path_factory.mktemp("cache")))
         patch.setattr(paths, "_synchronize", lambda path: None)
         yield
+
+
+def install_scene(patch, name, plugin):
+    """Let `plugin` be the only installed scene."""
+    names, load = registry.list_plugins, registry.load_plugin
+    patch.setattr(registry, "list_plugins", lambda g: [name] if g == "scenes" else names(g))
+    patch.setattr(registry, "load_plugin", lambda g, n: plugin if g == "scenes" else load(g, n))

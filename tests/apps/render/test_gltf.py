@@ -6,6 +6,7 @@ import base64
 import io
 import json
 import struct
+from dataclasses import replace
 
 import DracoPy
 import meshopt
@@ -18,6 +19,7 @@ from rlbench.apps.render.gltf.read_scene import read_gltf
 from rlbench.apps.render.mitsuba.open_tracer import open_tracer
 from rlbench.apps.render.scene import Camera, SceneError
 from rlbench.apps.render.user.clip import UserSceneOptions, ensure_user_clip
+from rlbench.apps.render.user.sky import add_sky
 from tests.apps.render.user.xml_room import PRESET
 
 SQUARE = np.array([(-1, -1, 0), (1, -1, 0), (1, 1, 0), (-1, 1, 0)], np.float32)
@@ -75,10 +77,6 @@ class File:
 
 def colours(file, folder, size=2, spp=256):
     """Radiance of a size x size image of the square under a white sky of 1."""
-    from dataclasses import replace
-
-    from rlbench.apps.render.user.sky import add_sky
-
     scene = add_sky(read_gltf(file.write(folder)).scene, "1")
     camera = Camera((0, -1e3, 0), (0, 0, 0), fov=2 * np.degrees(np.arctan(1e-3)))
     scene = replace(scene, camera=lambda time: camera, max_depth=2)
@@ -112,10 +110,8 @@ def test_vertices_are_the_same_however_they_are_stored(tmp_path, kind):
         file.primitive["extensions"] = {"KHR_draco_mesh_compression": draco}
     elif kind == "sparse":
         del accessor["bufferView"]
-        indices, values = (
-            file.view(np.arange(4, dtype=np.uint16).tobytes()),
-            file.view(SQUARE.tobytes()),
-        )
+        indices = file.view(np.arange(4, dtype=np.uint16).tobytes())
+        values = file.view(SQUARE.tobytes())
         kinds = {"bufferView": indices, "componentType": 5123}
         accessor["sparse"] = {"count": 4, "values": {"bufferView": values}, "indices": kinds}
     else:

@@ -57,12 +57,6 @@ def test_a_scene_by_others_is_rendered_as_a_file(
     assert user_clips[0][0].parameters == (("width", "45"),)
 
 
-def test_a_scene_by_others_that_is_not_here_says_how_to_get_it(tmp_path, monkeypatch):
-    monkeypatch.setenv("RLBENCH_CACHE", str(tmp_path))
-    printed = rlbench("render", "classroom", "-D", "width=45", code=2)
-    assert "run `rlbench scenes get classroom`" in " ".join(printed.split())
-
-
 @pytest.mark.parametrize(
     ("name", "words", "message"),
     [

@@ -14,51 +14,40 @@ from rlbench.cli.app import app
 from rlbench.cli.json_output import ScenesOutput
 from rlbench.system import paths
 from tests.cli.runner import rlbench
-from tests.scene_server import FILES, FOLDER, OWNER, SceneServer
+from tests.scene_server import FILES, FOLDER, OWNER
 
 
 @pytest.fixture
-def server(tmp_path, monkeypatch):
-    """A server of the scene `attic`, which is pinned; no mirror of the user."""
-    served = SceneServer(tmp_path / "repository")
-    served.write_pin()
-    monkeypatch.delenv("RLBENCH_SCENES", raising=False)
-    monkeypatch.setenv("RLBENCH_SCENES_URL", served.address)
+def server(server, monkeypatch):
+    """The server, as the variables of the environment name it."""
+    monkeypatch.setenv("RLBENCH_SCENES_URL", f"{server.address}/")
+    monkeypatch.setenv("RLBENCH_SCENES_API", server.address)
     monkeypatch.setitem(get.__kwdefaults__, "pause_s", 0.0)
-    monkeypatch.setenv("RLBENCH_SCENES_API", served.address)
-    yield served
-    served.close()
+    return server
 
 
 def document(*words: object) -> dict[str, object]:
     return json.loads(CliRunner().invoke(app, [*map(str, words), "--json"]).stdout)
 
 
-def test_the_list_has_authors_licences_and_states(server):
+def test_the_list_and_its_document_have_every_scene_with_its_author_licence_and_state(server):
     output = rlbench("scenes")
     for words in ("Japanese Classroom", "NovaZeeke", "CC BY 3.0", "not downloaded", "not pinned"):
         assert words in output
-
-
-def test_the_document_lists_every_scene(server):
     found = document("scenes")
     assert found.keys() == {field.name for field in dataclasses.fields(ScenesOutput)}
     rows = {row["name"]: row for row in found["scenes"]}
     assert rows.keys() == load_catalog().keys()
     assert rows["attic"]["bytes"] == sum(map(len, FILES.values()))
     assert rows["kitchen"]["has_unknown_sizes"]
-    assert rows["staircase"]["state"] == "not pinned"
 
 
-def test_a_scene_is_downloaded_and_credited(server):
+def test_a_scene_is_downloaded_and_credited(server, tmp_path):
     output = rlbench("scenes", "get", "attic")
     assert "4 downloaded, 0 copied, 0 there already; 'attic' by unknown" in output
     (row,) = document("scenes", "get", "attic")["scenes"]
     assert row["state"] == "complete"
     assert row["scene"] == str(paths.scenes_folder() / "attic" / "scene.xml")
-
-
-def test_out_names_another_folder(server, tmp_path):
     rlbench("scenes", "get", "attic", "--out", tmp_path / "mirror")
     assert (tmp_path / "mirror" / "attic" / "scene.xml").exists()
 
@@ -82,16 +71,13 @@ def test_a_server_that_is_down_stops_at_the_first_scene(server, monkeypatch):
     assert "16 of 16 scenes are not complete: living-room, classroom" in output
 
 
-def test_a_scene_is_pinned_and_can_then_be_downloaded(server):
-    (pins_folder() / "attic.tsv").unlink()
-    output = rlbench("scenes", "pin", f"{OWNER}@{server.commit}:{FOLDER}")
-    assert f"{pins_folder()}/attic.tsv: 4 files to download them: rlbench scenes get" in output
-    assert "4 downloaded" in rlbench("scenes", "get", "attic")
-
-
-def test_a_pin_can_be_written_to_a_file(server, tmp_path):
+def test_a_scene_is_pinned_and_can_then_be_downloaded(server, tmp_path):
     expected = server.write_pin().read_text()
-    place = f"{OWNER}@{server.commit}:{FOLDER}"
+    own, place = pins_folder() / "attic.tsv", f"{OWNER}@{server.commit}:{FOLDER}"
+    own.unlink()
+    output = rlbench("scenes", "pin", place)
+    assert f"{own}: 4 files to download them: rlbench scenes get" in output
+    assert "4 downloaded" in rlbench("scenes", "get", "attic")
     rlbench("scenes", "pin", place, "--out", tmp_path / "mine.tsv")
     assert (tmp_path / "mine.tsv").read_text() == expected
 

@@ -12,6 +12,7 @@ import numpy as np
 
 from rlbench.apps.render.scene import Camera, Mesh, Scene
 from rlbench.apps.render.user import camera_path
+from tests.apps.render import small_scenes
 
 FRAMES, FPS, FOV, BOUNCES, LIGHT = 4, 24, 50.0, 6, (4.0, 3.5, 2.5)
 PACE = np.array([0.12, -0.07, 0.0])  # metres a frame, of the box
@@ -28,19 +29,17 @@ def tiled(origin, u, v, colours, side):
     """Squares of a chequered rectangle, by colour: the linter needs texture edges."""
     u, v = np.array(u, float) / side, np.array(v, float) / side
     parts = [([], []) for _ in colours]
-    for i in range(side):
-        for j in range(side):
-            corners, faces = quad(np.array(origin) + i * u + j * v, u, v)
-            vertices, all_faces = parts[(i + j) % len(colours)]
-            all_faces += (np.array(faces) + 4 * len(vertices)).tolist()
-            vertices.append(corners)
+    for i, j in np.ndindex(side, side):
+        corners, faces = quad(np.array(origin) + i * u + j * v, u, v)
+        vertices, all_faces = parts[(i + j) % len(colours)]
+        all_faces += (np.array(faces) + 4 * len(vertices)).tolist()
+        vertices.append(corners)
     return [(np.concatenate(v), f, c) for (v, f), c in zip(parts, colours, strict=True)]
 
 
 def box(low, high):
-    vertices = [[(low, high)[i >> axis & 1][axis] for axis in range(3)] for i in range(8)]
-    sides = [(0, 2, 3, 1), (4, 5, 7, 6), (0, 1, 5, 4), (2, 6, 7, 3), (0, 4, 6, 2), (1, 3, 7, 5)]
-    return np.array(vertices, float), [f for a, b, c, d in sides for f in ((a, b, c), (a, c, d))]
+    mesh = small_scenes.box("box", low, high, {})
+    return mesh.vertices, mesh.faces
 
 
 def parts():
@@ -69,12 +68,10 @@ def for_mitsuba():
     meshes, moving = [], {}
     for name, (vertices, faces, albedo, radiance, moves) in parts().items():
         points = vertices.astype(np.float32)
-        material = {"type": "diffuse", "reflectance": {"type": "rgb", "value": list(albedo)}}
         light = {"type": "area", "radiance": {"type": "rgb", "value": list(radiance)}}
+        twosided = {"type": "twosided", "bsdf": small_scenes.diffuse(*albedo)}
         emission = light if any(radiance) else None
-        twosided = {"type": "twosided", "bsdf": material}
-        faces = np.array(faces, np.uint32)
-        meshes.append(Mesh(name, points, faces, twosided, emission=emission))
+        meshes.append(Mesh(name, points, np.array(faces, np.uint32), twosided, emission=emission))
         if moves:
             moving[name] = points
     return Scene(
@@ -112,23 +109,15 @@ def for_blender(folder):
         corners = (vertices[np.array(faces)].reshape(-1, 3) @ Z_UP.T).astype(np.float32)
         index = buffer(np.arange(len(corners), dtype=np.uint32), 5125, "SCALAR")
         position = buffer(corners, 5126, "VEC3", bounds=True)
-        meshes.append(
-            {
-                "primitives": [
-                    {
-                        "attributes": {"POSITION": position},
-                        "indices": index,
-                        "material": len(meshes),
-                    }
-                ]
-            }
-        )
+        part = {"attributes": {"POSITION": position}, "indices": index, "material": len(meshes)}
+        meshes.append({"primitives": [part]})
         nodes.append({"mesh": len(meshes) - 1, "name": name})
         materials.append(material(name, albedo, radiance))
     times = buffer((np.arange(FRAMES) / FPS).astype(np.float32), 5126, "SCALAR", bounds=True)
     path = np.arange(FRAMES)[:, None] * (PACE @ Z_UP.T)
     moved = buffer(path.astype(np.float32), 5126, "VEC3")
     target = {"node": list(parts()).index("box"), "path": "translation"}
+    sampler = {"input": times, "output": moved, "interpolation": "LINEAR"}
     (folder / "both.bin").write_bytes(data)
     gltf = {
         "asset": {"version": "2.0"},
@@ -141,12 +130,7 @@ def for_blender(folder):
         "accessors": accessors,
         "bufferViews": views,
         "buffers": [{"uri": "both.bin", "byteLength": len(data)}],
-        "animations": [
-            {
-                "channels": [{"sampler": 0, "target": target}],
-                "samplers": [{"input": times, "output": moved, "interpolation": "LINEAR"}],
-            }
-        ],
+        "animations": [{"channels": [{"sampler": 0, "target": target}], "samplers": [sampler]}],
     }
     file, flight_path = folder / "both.gltf", folder / "path.json"
     file.write_text(json.dumps(gltf))
@@ -159,17 +143,10 @@ def material(name, albedo, radiance):
     """Diffuse alone: Blender's Principled without its specular layer."""
     strength = max(radiance)
     extensions = {"KHR_materials_specular": {"specularFactor": 0.0}}
-    shapes = {
-        "name": name,
-        "doubleSided": True,
-        "pbrMetallicRoughness": {
-            "baseColorFactor": [*albedo, 1.0],
-            "metallicFactor": 0.0,
-            "roughnessFactor": 1.0,
-        },
-        "extensions": extensions,
-    }
+    pbr = {"baseColorFactor": [*albedo, 1.0], "metallicFactor": 0.0, "roughnessFactor": 1.0}
+    surface = {"name": name, "doubleSided": True, "pbrMetallicRoughness": pbr}
+    surface["extensions"] = extensions
     if strength:
-        shapes["emissiveFactor"] = [value / strength for value in radiance]
+        surface["emissiveFactor"] = [value / strength for value in radiance]
         extensions["KHR_materials_emissive_strength"] = {"emissiveStrength": strength}
-    return shapes
+    return surface

@@ -61,13 +61,11 @@ def cycles(files, tmp_path_factory):
 
 @pytest.fixture(scope="module")
 def mitsuba(tmp_path_factory):
-    scene, matrices = (
-        shared_scene.for_mitsuba(),
-        [camera_path.matrix_from_camera(shared_scene.camera(t)) for t in range(4)],
-    )
+    matrices = [camera_path.matrix_from_camera(shared_scene.camera(t)) for t in range(4)]
     path = camera_path.follow_matrices(matrices)  # before frame 0, nothing moves, as in the file
     scene = replace(
-        scene, camera=lambda time: camera_path.camera_from_matrix(path(time), shared_scene.FOV)
+        shared_scene.for_mitsuba(),
+        camera=lambda time: camera_path.camera_from_matrix(path(time), shared_scene.FOV),
     )
     job = Job("both", scene, PRESET, tmp_path_factory.mktemp("mitsuba") / "clip")
     return render_missing([job])[0]
@@ -165,14 +163,11 @@ def test_a_still_camera_and_static_meshes_make_a_static_clip(files, tmp_path):
     still = files / "still.gltf"
     text = (files / "both.gltf").read_text()
     still.write_text(text.replace('"animations"', '"extras"'))
-    options = replace(
-        make_options(files, tmp_path / "clip"), file=still, camera=str(tmp_path / "one.json")
-    )
+    path = tmp_path / "one.json"
+    options = make_options(files, tmp_path / "clip", size=SMALL.size)
     first = camera_path.matrix_from_camera(shared_scene.camera(0)).tolist()
-    Path(options.camera).write_text(
-        json.dumps({"camera_to_world": [first] * 2, "fov": shared_scene.FOV})
-    )
-    header = read_header(ensure_cycles(replace(options, size=(32, 32)), SMALL))
+    path.write_text(json.dumps({"camera_to_world": [first] * 2, "fov": shared_scene.FOV}))
+    header = read_header(ensure_cycles(replace(options, file=still, camera=str(path)), SMALL))
     assert header.static
     assert "motion" not in header.buffers
 
@@ -194,16 +189,8 @@ def test_the_error_of_a_broken_file_has_blenders_message(blender, tmp_path):
 
 
 def test_a_worker_that_is_killed_is_a_crash(files, tmp_path):
-    events = process.run_worker(
-        {
-            "scene": str(files / "both.blend"),
-            "frames": 2000,
-            "start": 0,
-            "size": None,
-            "renders": [],
-        },
-        tmp_path / "log.txt",
-    )
+    job = {"scene": str(files / "both.blend"), "frames": 2000, "start": 0, "size": None}
+    events = process.run_worker({**job, "renders": []}, tmp_path / "log.txt")
     assert next(events)["event"] == "hello"
     children = subprocess.run(
         ["pgrep", "-P", str(os.getpid()), "-f", "worker.py"], capture_output=True, text=True

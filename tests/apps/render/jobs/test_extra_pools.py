@@ -13,7 +13,7 @@ from rlbench.apps.render.jobs.job import Job
 from rlbench.apps.render.jobs.render_clips import render_clip, render_missing
 from rlbench.apps.render.mitsuba.open_tracer import WavefrontTracer
 from rlbench.apps.render.mitsuba.variant import select_variant
-from rlbench.apps.render.scene import Camera, Mesh, Scene
+from rlbench.apps.render.scene import Camera, Scene
 from rlbench.clips.compatibility import incompatibility
 from rlbench.clips.header import read_header
 from rlbench.clips.presets import Preset
@@ -60,8 +60,11 @@ def test_a_pool_is_added_to_a_clip_and_nothing_else_is_touched(plain):
     render_missing([job(plain)])
     assert before == {file: file.stat().st_mtime_ns for file in before}
     assert open_clip(plain).digest == digest
-    assert read_header(plain).pools == ("path", "restir")
     assert verify(plain) == []
+    header = read_header(plain)
+    assert header.pools == ("path", "restir")
+    assert header.sample_ms_of("path") == header.sample_ms
+    assert header.sample_ms_of("restir") > 0
 
 
 def test_a_clip_rendered_with_both_pools_equals_one_to_which_a_pool_was_added(clip, tmp_path):
@@ -114,21 +117,12 @@ def test_a_lost_file_is_traced_again_and_the_others_are_left_alone(clip):
 
 
 def test_a_pool_of_another_recipe_is_replaced(clip):
-    (missing,) = [
-        extra_pools.MissingPool(job(clip), replace(kind, version=kind.version + 1))
-        for kind in [extra_pools.registry.load_plugin("pools", "restir")]
-    ]
+    kind = extra_pools.registry.load_plugin("pools", "restir")
+    missing = extra_pools.MissingPool(job(clip), replace(kind, version=kind.version + 1))
     assert missing.missing_frames == [0, 1, 2, 3]
     missing.claim_files()
     assert read_header(clip).pools == ("path",)
     assert contents(clip, "pool.restir.*.exr") == {}
-
-
-def test_the_header_records_the_time_per_sample_of_each_pool(clip):
-    header = read_header(clip)
-    assert header.sample_ms_of("path") == header.sample_ms
-    assert header.sample_ms_of("restir") > 0
-    assert np.isnan(header.sample_ms_of("unheard"))
 
 
 def test_the_scalar_variant_adds_no_pool_and_the_incompatibility_names_it(plain):
@@ -136,9 +130,8 @@ def test_the_scalar_variant_adds_no_pool_and_the_incompatibility_names_it(plain)
     render_missing([job(plain)])
     header = read_header(plain)
     assert header.pools == ("path",)
-    assert "'restir' pool, the clip has: path" in incompatibility(
-        header, Traits(pool="restir"), 1.0
-    )
+    reason = incompatibility(header, Traits(pool="restir"), 1.0)
+    assert "'restir' pool, the clip has: path" in reason
 
 
 def open_scene(scene, time=0.0):
@@ -158,17 +151,19 @@ def camera_alone(depth):
 
 def many_lamps():
     """A floor of 40 x 40 m under 400 lamps of 10 x 10 cm, half a metre above it."""
-    middle = np.stack(np.meshgrid(np.arange(20.0), np.arange(20.0)), -1).reshape(-1, 1, 2) * 2 - 19
-    corner = np.array([[-1, -1], [-1, 1], [1, 1], [1, -1]]) * 0.05  # clockwise: it faces down
-    flat = (middle + corner).reshape(-1, 2)
-    vertices = np.column_stack([flat, np.full(len(flat), 0.5)]).astype(np.float32)
-    faces = (np.arange(400)[:, None, None] * 4 + [[0, 1, 2], [0, 2, 3]]).reshape(-1, 3)
+    x, y = np.meshgrid(np.arange(20.0) * 2 - 19, np.arange(20.0) * 2 - 19)
     lamp = {"type": "area", "radiance": grey(5.0)}
-    lamps = Mesh("lamps", vertices, faces.astype(np.uint32), diffuse(0, 0, 0), emission=lamp)
+    each = square("lamps", 0.05, 0.5, diffuse(0, 0, 0), up=-1, emission=lamp)
+    middle = np.stack([x.ravel(), y.ravel(), np.zeros(400)], 1)[:, None]
+    vertices = (middle + each.vertices).reshape(-1, 3).astype(np.float32)
+    faces = (np.arange(400)[:, None, None] * 4 + each.faces).reshape(-1, 3).astype(np.uint32)
     return Scene(
         name="lamps",
         title="Many lamps for tests",
-        meshes=(square("floor", 20.0, 0.0, diffuse(0.5, 0.5, 0.5)), lamps),
+        meshes=(
+            square("floor", 20.0, 0.0, diffuse(0.5, 0.5, 0.5)),
+            replace(each, vertices=vertices, faces=faces),
+        ),
         camera=lambda time: Camera((0.02 * time, -6.0, 3.0), (0, 0, 0), fov=50.0),
         max_depth=2,
     )
@@ -293,10 +288,10 @@ def test_no_kernel_is_compiled_after_the_second_frame(llvm):
     tracer = open_scene(room())
     pool = chains(tracer, 2)
 
-    def frame(time):
-        tracer.set_time(time)
-        pool()
+    def trace(*times):
+        for time in times:
+            tracer.set_time(time)
+            pool()
 
-    frame(0.0)
-    frame(1.0)
-    check_no_kernel_is_compiled(lambda: [frame(time) for time in (2.0, 3.0, 4.5)])
+    trace(0.0, 1.0)
+    check_no_kernel_is_compiled(lambda: trace(2.0, 3.0, 4.5))

@@ -11,7 +11,6 @@ import pytest
 import torch
 
 import rlbench
-from rlbench import registry
 from rlbench.apps.render.jobs.job import Job
 from rlbench.apps.render.jobs.live_pool import (
     LiveClip,
@@ -22,21 +21,20 @@ from rlbench.apps.render.jobs.live_pool import (
 )
 from rlbench.apps.render.jobs.render_clips import render_clip, scene_of_clip
 from rlbench.apps.render.mitsuba.open_tracer import open_tracer
-from rlbench.apps.render.mitsuba.tracer import STREAMS
+from rlbench.apps.render.mitsuba.variant import select_variant
 from rlbench.benchmark.clip_sources import StoredSource, open_source
 from rlbench.benchmark.cost import FULL_FRAME
 from rlbench.benchmark.run_plan import CellLoader, RunPlan, list_cells
 from rlbench.benchmark.timing import ScatterMeter
 from rlbench.clips.exr import channel_dtype
-from rlbench.clips.header import ClipError, read_header
+from rlbench.clips.header import ClipError
 from rlbench.clips.presets import Preset
 from rlbench.clips.stored import open_clip
 from rlbench.family import Traits
 from rlbench.run import run_clip
 from rlbench.sampling import draw_samples
-from tests.apps.render.conftest import check_no_kernel_is_compiled, launches, own_cache
+from tests.apps.render.conftest import install_scene, launches, own_cache
 from tests.apps.render.small_scenes import grey, room
-from tests.cli.runner import rlbench as run_command
 from tests.conftest import write_noise
 
 H, W = 16, 24
@@ -66,21 +64,18 @@ def glaring():
     return replace(room(), meshes=(*others, replace(lamp, emission=emission)))
 
 
-def render_scene(folder, scene, name="room"):
-    render_clip(Job(name, scene, PRESET, folder))
-    return folder
-
-
 @pytest.fixture(scope="module")
 def rendered_room(usable_llvm, tmp_path_factory):
     with own_cache(tmp_path_factory):
-        return render_scene(tmp_path_factory.mktemp("live") / "room", room())
+        folder = tmp_path_factory.mktemp("live") / "room"
+        render_clip(Job("room", room(), PRESET, folder))
+        return folder
 
 
-def open_both(folder, scene, seed=0):
+def open_both(folder, scene, seed=0, **more):
     """The clip with its stored pool, and with a live one."""
     stored = open_clip(folder, seed=seed)
-    return stored, LiveClip(stored, open_tracer(scene, H, W))
+    return stored, LiveClip(stored, open_tracer(scene, H, W, **more))
 
 
 def agree(image, other):
@@ -98,36 +93,25 @@ def test_a_method_makes_the_same_images_of_live_and_of_stored_samples(llvm, rend
     assert torch.equal(images(live, spp), images(stored, spp))
 
 
-def test_without_llvm_live_and_stored_images_are_the_same_too(tmp_path):
-    from rlbench.apps.render.mitsuba.variant import select_variant
-
-    select_variant("scalar_rgb")
-    stored, live = open_both(render_scene(tmp_path, room()), room())
-    assert torch.equal(images(live, 0.7), images(stored, 0.7))
-
-
-def test_capped_samples_are_the_same_live(llvm, tmp_path):
-    render_clip(Job("room", room(), PRESET.with_radiance_cap(0.25), tmp_path))
-    stored = open_clip(tmp_path)
-    live = LiveClip(stored, open_tracer(room(), H, W, radiance_cap=0.25 / room().exposure))
-    assert torch.equal(images(live, 2.0), images(stored, 2.0))
-
-
-def test_samples_that_were_stored_as_float_are_the_same_live(llvm, tmp_path):
-    stored, live = open_both(render_scene(tmp_path, glaring()), glaring())
-    assert channel_dtype(tmp_path / "pool.path.0000.exr", "s0.R") == np.float32
-    assert torch.equal(images(live, 2.0), images(stored, 2.0))
+@pytest.mark.parametrize("case", ["scalar", "capped", "stored as float"])
+def test_special_samples_are_the_same_live(request, tmp_path, case):
+    select_variant("scalar_rgb") if case == "scalar" else request.getfixturevalue("llvm")
+    scene = glaring() if case == "stored as float" else room()
+    cap = 0.25 if case == "capped" else np.inf
+    render_clip(Job("room", scene, PRESET.with_radiance_cap(cap), tmp_path))
+    stored, live = open_both(tmp_path, scene, radiance_cap=cap / scene.exposure)
+    dtype = channel_dtype(tmp_path / "pool.path.0000.exr", "s0.R")
+    assert (dtype == np.float32) == (case == "stored as float")
+    assert torch.equal(images(live, 1.7), images(stored, 1.7))
 
 
 def test_a_frame_kept_by_the_caller_still_returns_its_own_samples(llvm, rendered_room):
     stored, live = open_both(rendered_room, room())
-    pool = list(live)[1].pool
-    density = torch.ones(1, 1, H, W)
-    first = draw_samples(pool, pool.empty(), density, 1.5)
-    stored_pool = stored.frame(1).pool
-    assert torch.equal(
-        first.radiance, draw_samples(stored_pool, stored_pool.empty(), density, 1.5).radiance
+    first, expected = (
+        draw_samples(pool, pool.empty(), torch.ones(1, 1, H, W), 1.5).radiance
+        for pool in (list(live)[1].pool, stored.frame(1).pool)
     )
+    assert torch.equal(first, expected)
 
 
 def test_each_sample_drawn_is_one_path_and_nothing_else_is_traced(llvm, rendered_room):
@@ -144,32 +128,30 @@ def test_each_sample_drawn_is_one_path_and_nothing_else_is_traced(llvm, rendered
     assert sizes == [4, 38 - 4, 346 - 38, 1536 - 346]
 
 
-def test_nothing_is_compiled_after_the_first_frame(llvm, rendered_room):
-    _, live = open_both(rendered_room, room())
-    images(live, 1.0)
-    check_no_kernel_is_compiled(lambda: [images(live, spp) for spp in (0.003, 0.01, 0.5, 3.7)])
-
-
-def maps(h, w):
+def maps():
     """Random counts of 0 to 8 samples per pixel: in total one, none, two, 0.01 spp, and more."""
     random = np.random.default_rng(0)
-    for drawn in (1, 0, 2, round(0.01 * h * w), h * w // 3, 3 * h * w):
-        counts = np.bincount(random.integers(0, h * w, drawn), minlength=h * w)
-        yield torch.from_numpy(np.minimum(counts, 8)).view(1, 1, h, w)
+    for drawn in (1, 0, 2, round(0.01 * H * W), H * W // 3, 3 * H * W):
+        counts = np.bincount(random.integers(0, H * W, drawn), minlength=H * W)
+        yield torch.from_numpy(np.minimum(counts, 8)).view(1, 1, H, W)
 
 
-def check_no_map_compiles_a_kernel(scene, h, w):
-    tracer = open_tracer(scene, h, w)
+@pytest.mark.parametrize(
+    "name",
+    ["", *(pytest.param(n, marks=pytest.mark.slow) for n in ("temple", "city", "hall", "ripples"))],
+)
+def test_no_map_of_counts_compiles_a_kernel_and_each_costs_its_sum(llvm, name):
+    tracer = open_tracer(scene_of_clip(name) if name else room(), H, W)
 
     def pool(time):
         tracer.set_time(time)
         return LivePool(tracer, time, tuple(range(8)), 1, 1.0, torch.float16, torch.device("cpu"))
 
     first = pool(0.0)
-    first.read(first.empty(), torch.ones(1, 1, h, w, dtype=torch.int64))
+    first.read(first.empty(), torch.ones(1, 1, H, W, dtype=torch.int64))
     for time in (1.0, 2.0):
         later = pool(time)
-        for counts in maps(h, w):
+        for counts in maps():
             kernels, _ = launches(partial(later.read, later.empty(), counts))
             assert all(kernel["cache_hit"] for kernel in kernels)
             drawn = int(counts.sum())
@@ -177,42 +159,11 @@ def check_no_map_compiles_a_kernel(scene, h, w):
             assert [k["size"] for k in kernels] == [max(drawn, 2)] * (drawn > 0)
 
 
-def test_no_map_of_counts_compiles_a_kernel_and_each_costs_its_sum(llvm):
-    check_no_map_compiles_a_kernel(room(), H, W)
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("name", ["temple", "city", "hall", "ripples"])
-def test_no_map_compiles_a_kernel_in_a_real_scene(llvm, name):
-    check_no_map_compiles_a_kernel(scene_of_clip(name), 32, 32)
-
-
-def test_seeds_and_caps_of_other_clips_compile_no_kernel(llvm):
-    tracer = open_tracer(room(), H, W)
-    pixels = np.arange(50)
-    tracer.trace(pixels, pixels)
-    tracer.seed, tracer.radiance_cap = 12, 0.5
-    kernels, _ = launches(lambda: [tracer.trace(pixels, pixels, s) for s in STREAMS])
-    assert len(kernels) == len(STREAMS)
-    assert all(kernel["cache_hit"] for kernel in kernels)
-
-
 @pytest.fixture
 def folder(llvm, rendered_room, tmp_path, monkeypatch):
     """A clip of the installed scene `room`."""
-    list_plugins, load_plugin = registry.list_plugins, registry.load_plugin
-    monkeypatch.setattr(
-        registry, "list_plugins", lambda g: ["room"] if g == "scenes" else list_plugins(g)
-    )
-    monkeypatch.setattr(
-        registry, "load_plugin", lambda g, n: room if g == "scenes" else load_plugin(g, n)
-    )
+    install_scene(monkeypatch, "room", room)
     return shutil.copytree(rendered_room, tmp_path / "room")
-
-
-def test_a_clip_knows_its_scene(folder):
-    stored = open_clip(folder)
-    assert agree(images(open_live_clip(stored), 0.5), images(stored, 0.5))
 
 
 def test_the_benchmark_opens_live_and_stored_clips_under_different_content_keys(folder):
@@ -250,13 +201,6 @@ def test_a_live_pool_leaves_room_for_a_density_that_varies(folder):
     assert int(counts.max()) > 6
 
 
-@pytest.mark.slow
-def test_the_command_measures_more_samples_live_than_a_preset_stores(llvm, tmp_path):
-    words = ("--preset", "tiny", "--scenes", "temple", "--spp", 16, "--out", tmp_path / "r")
-    output = run_command("run", "-m", "mean", "--pool", "live", "--times", "none", *words)
-    assert "1 cells measured" in output
-
-
 def test_a_scene_that_has_changed_is_an_error(folder):
     mark = folder / "scene.txt"
     mark.write_text(mark.read_text().replace(mark.read_text()[:16], "0123456789abcdef"))
@@ -276,7 +220,6 @@ def test_only_the_path_pool_can_be_live(tmp_path):
 
 
 def test_a_scene_that_is_not_installed_is_an_error(rendered_room):
-    assert read_header(rendered_room).name == "room"
     with pytest.raises(LookupError, match="'room' is not a scene"):
         open_source(rendered_room, "live")
 
@@ -304,20 +247,16 @@ def test_the_factor_is_per_sample_and_of_the_methods_own_counts():
     assert tracer.traced == [(0, 0), (0, 1), (2, 0), (5, 0), (5, 1), (5, 2)]
 
 
-def test_counts_without_a_sample_have_no_factor():
-    with pytest.raises(ValueError, match="at least one sample"):
-        scatter_factor(CountingTracer(), torch.zeros(1, 1, 2, 3, dtype=torch.int64))
-
-
-def cell(folder, method):
-    plan = RunPlan((method,), (StoredSource(folder),), (2.0,))
+def scatter_meter(folder):
+    """The meter of a clip's plan, and the plan's only cell, of an adaptive method."""
+    plan = RunPlan(("ours/by-rule",), (StoredSource(folder),), (2.0,))
     (only,) = list_cells(plan)
     return ScatterMeter(CellLoader(plan)), only
 
 
 def test_a_real_scene_has_a_factor_near_one(folder):
     """384 pixels: fixed costs of a launch and other load leave no more than the order."""
-    meter, adaptive = cell(folder, "ours/by-rule")
+    meter, adaptive = scatter_meter(folder)
     assert meter.has_scene(adaptive)
     measured = meter.measure(adaptive)
     assert measured.note == ""
@@ -327,7 +266,7 @@ def test_a_real_scene_has_a_factor_near_one(folder):
 
 
 def test_a_clip_without_its_scene_charges_samples_of_a_full_frame_and_says_why(tmp_path):
-    meter, adaptive = cell(write_noise(tmp_path / "noise"), "ours/by-rule")
+    meter, adaptive = scatter_meter(write_noise(tmp_path / "noise"))
     assert not meter.has_scene(adaptive)
     measured = meter.measure(adaptive)
     assert measured.factor == FULL_FRAME.factor == 1.0

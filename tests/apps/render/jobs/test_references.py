@@ -45,23 +45,15 @@ def test_the_noise_ceiling_takes_exposure_and_clipping_into_account():
     assert references.noise_ceiling_db(a, b, 1000.0) == references.noise_ceiling_db(a, a, 1) == 100
 
 
-@pytest.mark.parametrize("spp", [1, 5])
-def test_one_round_is_the_mean_of_each_stream(llvm, spp):
+@pytest.mark.parametrize(("spp", "rounds"), [(1, 1), (5, 1), (4, 3)])
+def test_a_reference_is_the_mean_of_each_stream_however_many_rounds_it_has(llvm, spp, rounds):
     tracer = open_tracer(room(), H, W)
-    a, b, total_spp = references.trace_reference(tracer, replace(PRESET, reference_spp=spp), 1.0)
-    assert total_spp == 2 * spp
-    np.testing.assert_array_equal(a, tracer.trace_mean(spp, "referenceA"))
-    np.testing.assert_array_equal(b, tracer.trace_mean(spp, "referenceB"))
-
-
-def test_a_round_continues_where_the_last_one_ended(llvm):
-    tracer = open_tracer(room(), H, W)
-    a, _, total_spp = references.trace_reference(
-        tracer, replace(PRESET, max_reference_rounds=3), 1.0
-    )
-    assert total_spp == 2 * 3 * 4
-    # a float64 sum in another order, rounded to float32
-    np.testing.assert_allclose(a, tracer.trace_mean(12, "referenceA"), rtol=1e-6)
+    preset = replace(PRESET, reference_spp=spp, max_reference_rounds=rounds)
+    *halves, total_spp = references.trace_reference(tracer, preset, 1.0)
+    assert total_spp == 2 * rounds * spp
+    for half, stream in zip(halves, ("referenceA", "referenceB"), strict=True):
+        # a float64 sum in another order, rounded to float32
+        np.testing.assert_allclose(half, tracer.trace_mean(rounds * spp, stream), rtol=1e-6)
 
 
 def test_rounds_end_once_the_ceiling_is_high_enough(llvm):
@@ -79,11 +71,9 @@ def test_nothing_is_traced_once_the_reference_is_good_enough_and_progress_counts
     llvm, monkeypatch
 ):
     tracer, traced, samples = open_tracer(room(), H, W), [], []
-    trace_sum = tracer.trace_sum
+    trace = tracer.trace_sum
     monkeypatch.setattr(
-        tracer,
-        "trace_sum",
-        lambda spp, *rest, **on: traced.append(spp) or trace_sum(spp, *rest, **on),
+        tracer, "trace_sum", lambda spp, *rest, **on: traced.append(spp) or trace(spp, *rest, **on)
     )
     preset = replace(PRESET, max_reference_rounds=50, min_noise_ceiling_db=25.0)
     *_, total_spp = references.trace_reference(tracer, preset, room().exposure, samples.append)
@@ -100,30 +90,22 @@ def test_an_easy_scene_needs_fewer_samples_and_the_header_records_them(llvm, tmp
         headers.append(read_header(tmp_path / name))
     assert max(headers[0].reference_spp) < min(headers[1].reference_spp)
     assert min(headers[0].noise_ceiling_db) >= 30.0
-    frame = open_clip(tmp_path / "hard").frame(1)
-    halves = [
-        h[0].permute(1, 2, 0).numpy() for h in (frame.reference.half_a, frame.reference.half_b)
-    ]
-    assert headers[1].noise_ceiling_db[1] == pytest.approx(
-        references.noise_ceiling_db(*halves, 1.0)
-    )
+    reference = open_clip(tmp_path / "hard").frame(1).reference
+    halves = (half[0].movedim(0, -1).numpy() for half in (reference.half_a, reference.half_b))
+    ceiling = references.noise_ceiling_db(*halves, 1.0)
+    assert headers[1].noise_ceiling_db[1] == pytest.approx(ceiling)
 
 
-def test_a_resumed_clip_keeps_the_sample_counts_of_its_first_frames(llvm, tmp_path):
+def test_a_resumed_clip_keeps_sample_counts_and_traces_a_frame_whose_count_is_lost(llvm, tmp_path):
     preset = replace(PRESET, max_reference_rounds=4, min_noise_ceiling_db=24.0)
-    first = Job("room", room(), preset, tmp_path)
-    render_clip(first)
+    job = Job("room", room(), preset, tmp_path)
+    render_clip(job)
     total_spp = read_header(tmp_path).reference_spp
     (tmp_path / "clip.toml").unlink()
     (tmp_path / "referenceB.0001.exr").unlink()
-    assert first.missing_frames == [1]
-    render_clip(first)
-    assert read_header(tmp_path).reference_spp == total_spp
-
-
-def test_a_frame_whose_sample_count_is_lost_is_traced_again(llvm, tmp_path):
-    job = Job("room", room(), replace(PRESET, max_reference_rounds=2), tmp_path)
+    assert job.missing_frames == [1]
     render_clip(job)
+    assert read_header(tmp_path).reference_spp == total_spp
     (tmp_path / "rounds.0000.txt").unlink()
     assert job.missing_frames == [0]
     assert not job.is_finished

@@ -21,10 +21,10 @@ from rlbench.apps.render.mitsuba.gbuffer import render_gbuffer
 from rlbench.apps.render.mitsuba.open_tracer import open_tracer
 from rlbench.apps.render.scene import SceneError
 from rlbench.clips.header import ClipError, read_header, write_header
-from rlbench.clips.presets import Preset
+from rlbench.clips.presets import PRESETS, Preset
 from rlbench.clips.stored import open_clip, verify
 from rlbench.ops.reprojection import reproject
-from tests.apps.render.conftest import own_cache
+from tests.apps.render.conftest import install_scene, own_cache
 from tests.apps.render.small_scenes import diffuse, room, room_with_takes
 
 PRESET = Preset("test", "tests", (16, 24), frames=3, reference_spp=2, pool_spp=3)
@@ -108,12 +108,6 @@ def test_stored_samples_are_those_of_the_tracer_before_exposure(clip):
     assert not (reference.half_a == reference.half_b).all()  # of different paths
 
 
-def test_a_static_scene_has_no_motion_buffer(llvm, tmp_path):
-    render_clip(job(tmp_path, room(static=True), replace(PRESET, frames=1)))
-    assert read_header(tmp_path).static
-    assert "motion" not in read_header(tmp_path).buffers
-
-
 EXTRAS = ("object", "albedo_first", "normal_psr", "depth_psr", "object_psr")
 
 
@@ -155,6 +149,13 @@ def test_a_cap_dims_inputs_and_references_alike_and_is_in_the_header(clip, tmp_p
     assert capped.reference.half_a.max() <= 0.25 * (1 + 1e-6)
 
 
+def test_content_keys_of_existing_clips_have_not_changed():
+    # as in scene.txt of clips that were rendered before rounds and caps existed
+    for name, expected in (("mini", "192x192 8 frames"), ("train", "160x160 5 frames")):
+        key = job("a", preset=PRESETS[name]).content_key
+        assert key.endswith(f" {expected} 8 + 2 x 64 spp\n")
+
+
 def test_a_generated_scene_comes_from_the_registry_with_its_seed():
     scene = registry.load_plugin("scenes", "generated")(7)
     assert scene_of_clip("generated-007").name == scene.name == "generated-7"
@@ -168,26 +169,21 @@ def test_a_generated_scene_without_a_seed_is_an_error(name):
 
 @pytest.fixture
 def installed(monkeypatch):
-    monkeypatch.setattr(registry, "list_plugins", lambda group: ["room"])
-    monkeypatch.setattr(registry, "load_plugin", lambda group, name: room_with_takes)
+    install_scene(monkeypatch, "room", room_with_takes)
 
 
 @pytest.fixture(scope="module")
-def place(tmp_path_factory):
-    return tmp_path_factory.mktemp("takes")
-
-
-@pytest.fixture
-def clips(llvm, installed, place):
-    return {
-        folder.name: folder for folder in render_missing(preset_jobs(TAKES_PRESET, folder=place))
-    }  # rendered once
+def clips(usable_llvm, tmp_path_factory):
+    with own_cache(tmp_path_factory), pytest.MonkeyPatch.context() as patch:
+        install_scene(patch, "room", room_with_takes)
+        jobs = preset_jobs(TAKES_PRESET, folder=tmp_path_factory.mktemp("takes"))
+        return {folder.name: folder for folder in render_missing(jobs)}
 
 
 def test_a_preset_of_all_takes_renders_a_clip_for_each_with_the_name_of_the_scene(clips):
     assert list(clips) == ["room", "room-cut", "room-still"]
-    assert {read_header(folder).scene for folder in clips.values()} == {"room"}
-    assert [read_header(folder).name for folder in clips.values()] == list(clips)
+    headers = [read_header(folder) for folder in clips.values()]
+    assert [(header.scene, header.name) for header in headers] == [("room", n) for n in clips]
 
 
 @pytest.mark.parametrize(
@@ -200,21 +196,10 @@ def test_a_preset_of_all_takes_renders_a_clip_for_each_with_the_name_of_the_scen
     ],
 )
 def test_a_scene_name_selects_the_takes_of_the_preset_and_a_clip_name_one_take(
-    installed, monkeypatch, tmp_path, takes, scenes, clip_names
+    installed, takes, scenes, clip_names
 ):
-    monkeypatch.setattr(
-        "rlbench.apps.render.jobs.render_clips._render_all", lambda jobs, bar, executor: None
-    )
-    folders = render_missing(
-        preset_jobs(replace(TAKES_PRESET, takes=takes), scenes, folder=tmp_path)
-    )
-    assert [folder.name for folder in folders] == clip_names
-
-
-def test_the_estimate_counts_all_takes(llvm, installed, tmp_path, capsys):
-    small = replace(TAKES_PRESET, size=(4, 6), frames=1, reference_spp=1)
-    render_missing(preset_jobs(small, folder=tmp_path))
-    assert "rendering 3 clips of preset test" in capsys.readouterr().err.replace("\n", " ")
+    jobs = preset_jobs(replace(TAKES_PRESET, takes=takes), scenes)
+    assert [job.name for job in jobs] == clip_names
 
 
 def test_the_header_records_light_changes_cuts_and_that_nothing_moves(clips):
@@ -250,7 +235,7 @@ def test_a_switched_light_changes_radiance_and_not_the_gbuffer(clips):
     assert float(still.float().mean()) > 0.8  # but for the cube, which moves
 
 
-def test_live_samples_of_a_take_equal_the_stored_ones(clips):
+def test_live_samples_of_a_take_equal_the_stored_ones(llvm, installed, clips):
     stored = open_clip(clips["room-cut"])
     for stored_frame, live_frame in zip(stored, open_live_clip(stored), strict=True):
         counts = torch.full((1, 1, 16, 24), 2)
@@ -261,39 +246,25 @@ def test_live_samples_of_a_take_equal_the_stored_ones(clips):
         assert float((stored_radiance != live_radiance).double().mean()) < 0.01
 
 
-@pytest.fixture
-def timed_folder(clip, monkeypatch):
-    """A clip of the installed scene `room`."""
-    monkeypatch.setattr(registry, "list_plugins", lambda group: ["room"])
-    monkeypatch.setattr(registry, "load_plugin", lambda group, name: room)
-    return clip
-
-
-def test_remeasuring_changes_the_times_per_sample_and_nothing_else(timed_folder):
-    before = read_header(timed_folder)
+def test_remeasuring_changes_the_times_per_sample_and_nothing_else(clip, installed):
+    before = read_header(clip)
     slow = replace(before, sample_ms=1e6, pools=("path", "restir"), pools_ms=(1e6, 3e6))
-    write_header(timed_folder, slow)
-    now = remeasure_sample_ms(timed_folder)
-    assert now == read_header(timed_folder)
+    write_header(clip, slow)
+    now = remeasure_sample_ms(clip)
+    assert now == read_header(clip)
     assert 0 < now.sample_ms < 1e5  # 384 pixels: a millisecond or two
     assert now.pools_ms == pytest.approx((now.sample_ms, 3 * now.sample_ms))
     assert 0 < now.sample_p5_ms <= now.sample_ms <= now.sample_p95_ms
     assert now.gbuffer_ms > 0
     assert now.timed_with.endswith(" threads")
-    times = {
-        name: getattr(slow, name)
-        for name in ("sample_ms", "pools_ms", "sample_p5_ms", "sample_p95_ms", "gbuffer_ms")
-    }
-    assert replace(now, **times) == slow
-    write_header(timed_folder, before)
+    times = ("sample_ms", "pools_ms", "sample_p5_ms", "sample_p95_ms", "gbuffer_ms")
+    assert replace(now, **{name: getattr(slow, name) for name in times}) == slow
 
 
-def test_a_clip_of_another_machine_is_not_remeasured(timed_folder):
-    before = read_header(timed_folder)
-    write_header(timed_folder, replace(before, device="abacus"))
+def test_a_clip_of_another_machine_is_not_remeasured(clip):
+    write_header(clip, replace(read_header(clip), device="abacus"))
     with pytest.raises(ClipError, match="was rendered on 'abacus'.*times samples on this machine"):
-        remeasure_sample_ms(timed_folder)
-    write_header(timed_folder, before)
+        remeasure_sample_ms(clip)
 
 
 @pytest.mark.parametrize("path", [("path",), ("path", "restir")])

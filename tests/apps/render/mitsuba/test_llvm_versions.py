@@ -78,9 +78,3 @@ def test_two_versions_of_llvm_trace_the_same_samples_and_buffers(pair, scene):
     assert tuple(wheel["version"]) != tuple(other["version"])
     for name in [key for key in wheel if key.split()[0] == scene]:
         assert deviating_share(wheel[name], other[name]) <= 1e-3, name
-
-
-@pytest.mark.slow
-def test_other_samples_of_one_version_would_be_found(pair):
-    samples = pair[0]["city"]
-    assert deviating_share(samples[:4], samples[4:]) > 0.5

@@ -8,6 +8,7 @@ import pytest
 from rlbench.apps.render.mitsuba import load
 from rlbench.apps.render.mitsuba.load import LightError, smooth_normals
 from rlbench.apps.render.mitsuba.open_tracer import open_tracer
+from rlbench.apps.render.mitsuba.variant import select_variant
 from tests.apps.render.conftest import check_no_kernel_is_compiled
 from tests.apps.render.small_scenes import ball, diffuse, grey, room
 
@@ -16,30 +17,16 @@ CORNERS = np.array([[0, 0], [1, 0], [1, 1], [0, 1]], np.float32)
 TEXELS = np.random.default_rng(0).uniform(0, 30, (4, 4, 3)).astype(np.float32)
 
 
-def test_a_mesh_attribute_as_radiance_is_an_error(variant):
-    by_face = {"type": "area", "radiance": {"type": "mesh_attribute", "name": "face_light"}}
-    *others, lamp = room().meshes
-    scene = replace(room(), meshes=(*others, replace(lamp, emission=by_face)))
-    with pytest.raises(load.LightError, match="the radiance of mesh 'lamp' is a mesh attribute"):
-        open_tracer(scene, 4, 4)
-
-
-def test_an_uploaded_array_is_a_copy(llvm):
-    import mitsuba as mi
-
-    values = np.arange(64, dtype=np.float32)
-    uploaded = load.upload(mi.Float, values)
-    values[:] = -1
-    assert uploaded.numpy().tolist() == list(range(64))
-
-
 @pytest.mark.parametrize("length", [16, 1000, 100_000, 1_000_000])
-def test_an_uploaded_array_is_aligned(llvm, length):
+def test_an_uploaded_array_is_an_aligned_copy(llvm, length):
     import mitsuba as mi
 
     # otherwise Dr.Jit compiles a kernel for each alignment of each input
-    unaligned = np.zeros(length + 1, np.float32)[1:]
-    assert load.upload(mi.Float, unaligned).numpy().ctypes.data % 64 == 0
+    unaligned = np.arange(length + 1, dtype=np.float32)[1:]
+    uploaded = load.upload(mi.Float, unaligned).numpy()
+    assert uploaded.ctypes.data % 64 == 0
+    unaligned[:] = -1
+    assert uploaded.tolist() == list(range(1, length + 1))
 
 
 def test_smooth_normals_of_a_sphere_point_outwards():
@@ -63,9 +50,8 @@ def test_smooth_normals_equal_mitsubas(llvm):
     theirs = mi.traverse(shape)["vertex_normals"].numpy().reshape(-1, 3)
     ring = slice(64, -64)  # not the poles, whose faces without area Mitsuba counts too
     ours = smooth_normals(vertices, mesh.faces)
-    np.testing.assert_allclose(
-        ours[ring], theirs[ring], atol=2e-3
-    )  # Mitsuba approximates the arc cosine
+    # Mitsuba approximates the arc cosine
+    np.testing.assert_allclose(ours[ring], theirs[ring], atol=2e-3)
 
 
 @pytest.mark.parametrize("time", [pytest.param(0.0, marks=pytest.mark.slow), 2.0])
@@ -103,6 +89,10 @@ def with_sky(**sky):
     return replace(room(), sky=(sky,))
 
 
+def with_factor(light, factor):
+    return replace(room(), lights=lambda time: {light: factor})
+
+
 def sun(factor):
     return {"type": "directional", "direction": [0.1, 0.3, -1], "irradiance": grey(2 * factor)}
 
@@ -127,10 +117,8 @@ def switched(scene, light, at=5):
 @pytest.mark.parametrize("kind", LIGHT_CASES)
 def test_a_scaled_light_equals_one_loaded_with_that_strength(llvm, kind, share):
     light, build = LIGHT_CASES[kind]
-    changing, fresh = (
-        open_tracer(switched(build(1.0), light), H, W),
-        open_tracer(build(share), H, W),
-    )
+    scenes = switched(build(1.0), light), build(share)
+    changing, fresh = (open_tracer(scene, H, W) for scene in scenes)
     full = changing.trace_images(SPP)
     changing.set_time(5.0 if share else 7.0)
     fresh.set_time(changing.time)
@@ -143,8 +131,6 @@ def test_a_scaled_light_equals_one_loaded_with_that_strength(llvm, kind, share):
 
 @pytest.mark.parametrize("kind", ["lamp", "bitmap"])
 def test_without_llvm_lights_are_scaled_too(kind):
-    from rlbench.apps.render.mitsuba.variant import select_variant
-
     select_variant("scalar_rgb")
     light, build = LIGHT_CASES[kind]
     tracer, fresh = open_tracer(switched(build(1.0), light), 4, 6), open_tracer(build(0.25), 4, 6)
@@ -168,8 +154,7 @@ def test_a_light_returns_to_its_full_strength(llvm):
 @pytest.mark.parametrize("kind", ["lamp", "bitmap", "constant", "sun"])
 def test_scaling_a_light_again_compiles_no_kernel(llvm, kind):
     light, build = LIGHT_CASES[kind]
-    scene = replace(build(1.0), lights=lambda time: {light: 1 / (1 + time)})
-    tracer = open_tracer(scene, H, W)
+    tracer = open_tracer(replace(build(1.0), lights=lambda time: {light: 1 / (1 + time)}), H, W)
 
     def trace(*times):
         for time in times:
@@ -180,14 +165,18 @@ def test_scaling_a_light_again_compiles_no_kernel(llvm, kind):
     check_no_kernel_is_compiled(lambda: trace(3.0, 4.5, 7.0))
 
 
+BY_FACE = {"type": "area", "radiance": {"type": "mesh_attribute", "name": "face_light"}}
+
+
 @pytest.mark.parametrize(
-    ("lights", "message"),
+    ("scene", "message"),
     [
-        ({"moon": 0.5}, "no light 'moon' whose strength can change; available: lamp, sky0"),
-        ({"lamp": -1.0}, "light 'lamp' is scaled by -1.0; factors must be finite and at least 0"),
-        ({"lamp": float("nan")}, "light 'lamp' is scaled by nan"),
+        (with_lamp(BY_FACE), "the radiance of mesh 'lamp' is a mesh attribute"),
+        (with_factor("moon", 0.5), "no light 'moon' whose strength .* available: lamp, sky0"),
+        (with_factor("lamp", -1.0), "scaled by -1.0; factors must be finite and at least 0"),
+        (with_factor("lamp", float("nan")), "light 'lamp' is scaled by nan"),
     ],
 )
-def test_an_invalid_light_factor_is_an_error(llvm, lights, message):
+def test_an_invalid_light_is_an_error(variant, scene, message):
     with pytest.raises(LightError, match=message):
-        open_tracer(replace(room(), lights=lambda time: lights), H, W)
+        open_tracer(scene, H, W)

@@ -9,8 +9,10 @@ import torch
 
 from rlbench.apps.render.jobs.render_clips import scene_of_clip
 from rlbench.apps.render.mitsuba import load
+from rlbench.apps.render.mitsuba.gbuffer import render_gbuffer
 from rlbench.apps.render.mitsuba.open_tracer import open_tracer
 from rlbench.apps.render.mitsuba.tracer import STREAMS, make_sampler, stream_key
+from rlbench.apps.render.mitsuba.variant import select_variant
 from tests.apps.render.conftest import check_no_kernel_is_compiled
 from tests.apps.render.small_scenes import atlas, diffuse, looking_down, room, under_a_lamp
 
@@ -32,23 +34,13 @@ def test_any_pairs_in_any_order_equal_the_stack(tracer, count):
     np.testing.assert_array_equal(tracer.trace_tensors(*pairs).numpy(), stack[samples, pixels])
 
 
-def test_without_llvm_pairs_equal_the_stack_too():
-    from rlbench.apps.render.mitsuba.variant import select_variant
-
-    select_variant("scalar_rgb")
-    tracer = open_tracer(room(), H, W)
-    pixels, samples = np.array([5, 700, 5]), np.array([1, 0, 0])
-    stack = tracer.trace_images(2).reshape(2, -1, 3)
-    np.testing.assert_array_equal(tracer.trace(pixels, samples), stack[samples, pixels])
-
-
-def test_samples_do_not_depend_on_where_the_scene_was_before(variant):
+def test_samples_depend_neither_on_earlier_times_nor_on_the_length_of_the_stack(variant):
     tracer = open_tracer(room(), H, W)
     tracer.set_time(1.0)
     before = tracer.trace_images(1)
     tracer.set_time(5.0)
     tracer.set_time(1.0)
-    np.testing.assert_array_equal(tracer.trace_images(1), before)
+    np.testing.assert_array_equal(tracer.trace_images(2)[:1], before)
 
 
 def test_a_result_does_not_change_with_the_next_launch(tracer):
@@ -58,11 +50,6 @@ def test_a_result_does_not_change_with_the_next_launch(tracer):
     radiance[0] = before[0] = -1  # a caller may write into it
     tracer.trace(pixels, samples + 1)
     np.testing.assert_array_equal(radiance, before)
-
-
-def test_a_longer_stack_begins_like_a_shorter_one(variant):
-    tracer = open_tracer(room(), H, W)
-    np.testing.assert_array_equal(tracer.trace_images(3)[:2], tracer.trace_images(2))
 
 
 def test_the_mean_is_that_of_the_stack_whatever_the_chunk(tracer):
@@ -115,8 +102,6 @@ def test_a_floor_below_lamps_has_the_radiance_of_the_form_factor(variant, has_at
 
 
 def test_both_kinds_of_tracer_see_the_same_picture(llvm):
-    from rlbench.apps.render.mitsuba.variant import select_variant
-
     first = open_tracer(room(), H, W).trace_images(256)
     select_variant("scalar_rgb")
     second = open_tracer(room(), H, W).trace_images(256)
@@ -152,8 +137,6 @@ def test_hardly_a_sample_of_a_real_scene_depends_on_the_wavefront(llvm, name):
 
 
 def test_no_kernel_is_compiled_after_the_first_frame(tracer):
-    from rlbench.apps.render.mitsuba.gbuffer import render_gbuffer
-
     def work(time):
         tracer.set_time(time)
         render_gbuffer(tracer)
@@ -163,6 +146,7 @@ def test_no_kernel_is_compiled_after_the_first_frame(tracer):
         tracer.trace(random.integers(0, H * W, count), random.integers(0, 99, count), "pilot")
 
     work(0.0)
+    tracer.seed, tracer.radiance_cap = 12, 0.5  # of another clip
     check_no_kernel_is_compiled(lambda: [work(time) for time in (1.0, 2.0, 3.5)])
 
 
@@ -179,11 +163,6 @@ def test_streams_times_and_seeds_never_share_a_key():
     choices = itertools.product(STREAMS, (-1.0, 0.0, 0.5, 1.0), (0, 1))
     keys = [stream_key(*choice) for choice in choices]
     assert len(set(keys)) == len(keys)
-
-
-def test_an_unknown_stream_is_an_error_that_lists_the_available_ones():
-    with pytest.raises(LookupError, match="referenceA"):
-        stream_key("reference", 0.0, 0)
 
 
 def test_numbers_are_uniform(llvm):
@@ -204,14 +183,6 @@ def test_neighbours_are_uncorrelated(llvm, moved):
         "dimension": (drawn[..., 0], drawn[..., 1]),
     }[moved]
     assert abs(np.corrcoef(first.ravel(), second.ravel())[0, 1]) < 4 / np.sqrt(first.size)
-
-
-@pytest.mark.parametrize("pair", itertools.combinations(STREAMS, 2), ids="-".join)
-def test_two_streams_share_no_number(llvm, pair):
-    pixel, sample = np.indices((50, 50)).reshape(2, -1)
-    a, b = (numbers(pixel, sample, stream_key(s, 0.0, 0), 2) for s in pair)
-    # 24-bit numbers agree by chance in one of 16 million
-    assert (a == b).sum() <= 2
 
 
 @pytest.mark.parametrize("other", [(2**20, 0), (0, 4096), (1, 0), (2**31, 0), (0, 2**31)])

@@ -6,6 +6,7 @@ import pytest
 from rlbench.apps.render.user.clip import UserSceneOptions, ensure_user_clip
 from rlbench.clips.header import read_header
 from tests.apps.render.user.xml_room import (
+    FOV,
     PASSING,
     PRESET,
     buffer,
@@ -38,37 +39,26 @@ def test_a_still_camera_makes_a_static_clip(room):
 
 
 INSIDE = look_at([1.5, 0.3, 0.5], [0, 0.3, 0])  # of the cube
-
-
 AWAY = look_at([0, 1, 20], [0, 1, 40])
 
 
 @pytest.mark.parametrize(
-    ("matrices", "match"),
+    ("matrices", "fov", "more", "match"),
     [
-        ([PASSING[0], INSIDE], r"frame 1: .*only black.*100% .*backs of surfaces.*inside a wall"),
-        ([PASSING[0], PASSING[1], AWAY], r"frame 2: .*\(0, 1, 20\).*no surface; the scene spans"),
-        ([2 * np.eye(4) - np.diag([0, 0, 0, 1])], "matrix 0 is not rigid.*lengths 2, 2, 2"),
-        ([PASSING[0] + np.eye(4)[[1]].T * [[1, 0, 0, 0]]], "not rigid"),
-        ([PASSING[0], np.diag([-1.0, 1, 1, 1])], "matrix 1 mirrors"),
-        ([PASSING[0].T], "last row.*transposed"),
-        ([np.eye(4) * np.nan], "four rows of four finite"),
-        ([np.eye(3)], "four rows of four finite"),
-        ([], "no list of matrices"),
+        ([PASSING[0], INSIDE], FOV, {}, r"frame 1: .*only black.*100% .*backs of .*inside a wall"),
+        ([*PASSING[:2], AWAY], FOV, {}, r"frame 2: .*\(0, 1, 20\).*no surface; the scene spans"),
+        ([np.diag([2, 2, 2, 1])], FOV, {}, "matrix 0 is not rigid.*lengths 2, 2, 2"),
+        ([PASSING[0] + np.eye(4)[[1]].T * [[1, 0, 0, 0]]], FOV, {}, "not rigid"),
+        ([PASSING[0], np.diag([-1.0, 1, 1, 1])], FOV, {}, "matrix 1 mirrors"),
+        ([PASSING[0].T], FOV, {}, "last row.*transposed"),
+        ([np.eye(4) * np.nan], FOV, {}, "four rows of four finite"),
+        ([np.eye(3)], FOV, {}, "four rows of four finite"),
+        ([], FOV, {}, "no list of matrices"),
+        *((PASSING, fov, {}, "between 0 and 180") for fov in (0, 180, "wide")),
+        (PASSING, FOV, {"frames": 4}, "has 3 matrices"),
+        (PASSING, FOV, {"camera": "zoom"}, "takes still, orbit, dolly, or a JSON"),
     ],
 )
-def test_an_invalid_camera_path_is_refused(room, matrices, match):
-    check_refused(UserSceneOptions(room, flown(room.parent, matrices)), match)
-
-
-@pytest.mark.parametrize("fov", [0, 180, "wide"])
-def test_an_invalid_field_of_view_is_refused(room, fov):
-    check_refused(UserSceneOptions(room, flown(room.parent, PASSING, fov)), "between 0 and 180")
-
-
-def test_a_camera_that_is_not_a_file_is_refused(room):
-    check_refused(UserSceneOptions(room, "zoom"), "takes still, orbit, dolly, or a JSON")
-
-
-def test_more_frames_than_matrices_are_refused(room):
-    check_refused(UserSceneOptions(room, flown(room.parent, PASSING), frames=4), "has 3 matrices")
+def test_an_invalid_camera_path_is_refused(room, matrices, fov, more, match):
+    path = flown(room.parent, matrices, fov)
+    check_refused(UserSceneOptions(room, **{"camera": path, **more}), match)

@@ -28,17 +28,22 @@ from tests.apps.render.user.xml_room import (
     flown,
 )
 
-PYTHON = """from dataclasses import replace
-from tests.apps.render.small_scenes import room
+LAMP = '<emitter type="area"><rgb name="radiance" value="17, 12, 4"/></emitter>'
+PYTHON = """from tests.apps.render.small_scenes import looking_down, room
 
 def scene():
     return room()
 """
 
 
-def test_moved_vertices_have_motion_and_nothing_else_has(room):
+def write_hook(room):
     hook = room.with_name("waves.py")
     hook.write_text(HOOK)
+    return hook
+
+
+def test_moved_vertices_have_motion_and_nothing_else_has(room):
+    hook = write_hook(room)
     clip = ensure_user_clip(UserSceneOptions(hook, "still"), PRESET)
     motion = buffer(clip, "motion", 2)
     depth = buffer(clip, "depth", 2)[..., 0]
@@ -59,8 +64,7 @@ def test_an_instance_is_visible_and_static_beside_moving_meshes(room):
     )  # fmt: skip
     text = text.replace('<ref id="Gold"/></shape>', '<ref id="Gold"/></shape></shape>')
     room.write_text(text)
-    hook = room.with_name("waves.py")
-    hook.write_text(HOOK)
+    hook = write_hook(room)
     clip = ensure_user_clip(UserSceneOptions(hook, "still"), PRESET)
     middle = slice(H // 2 - 3, H // 2 + 3), slice(W // 2 - 3, W // 2 + 3)
     assert (buffer(clip, "depth", 2)[middle] < 4 - RADIUS / 2).all()
@@ -68,8 +72,7 @@ def test_an_instance_is_visible_and_static_beside_moving_meshes(room):
 
 
 def test_no_kernel_is_compiled_after_the_first_frame_of_an_xml_scene(room):
-    hook = room.with_name("waves.py")
-    hook.write_text(HOOK)
+    hook = write_hook(room)
     path = camera_path.follow_matrices(PASSING)
     scene = replace(
         open_scene_file(hook).scene,
@@ -114,6 +117,7 @@ def test_default_values_of_the_file_can_be_replaced(room):
         ('id="Ball">', 'id="Ball"><medium name="interior" type="homogeneous"/>',
          "participating medium"),
         ("17, 12, 4", "0, 0, 0", "sees only black"),
+        (LAMP, "", "no light"),
         ('<rgb name="radiance" value="17, 12, 4"/>',
          '<texture type="mesh_attribute" name="radiance"><string name="name" value="face_light"/>'
          "</texture>", "radiance is a mesh attribute"),
@@ -126,10 +130,6 @@ def test_a_broken_file_is_refused(room, old, new, match):
     assert room.read_text().count(old) == 1
     room.write_text(room.read_text().replace(old, new))
     check_refused(UserSceneOptions(room), match)
-
-
-def test_a_parameter_without_a_default_in_the_file_is_refused(room):
-    check_refused(UserSceneOptions(room, parameters=(("colour", "red"),)), "unused parameters")
 
 
 def test_a_scene_without_a_sensor_needs_matrices(room):
@@ -146,12 +146,8 @@ def test_a_scene_without_a_sensor_needs_matrices(room):
         ("def scene():\n    return 3", "returned int, expected Scene"),
         ("def scene():\n    return 1 / 0", "line 2: ZeroDivisionError"),
         ("def scene(:", "SyntaxError"),
-        (
-            PYTHON.replace("room()", "looking_down({'type': 'unobtainium'})").replace(
-                "import room", "import looking_down"
-            ),
-            "cannot trace.*unobtainium",
-        ),
+        (PYTHON.replace("room()", "looking_down({'type': 'unobtainium'})"),
+         "cannot trace.*unobtainium"),
         (HOOK.replace('{"Flag"', '{"Pole"'), "moves 'Pole', .*: Flag"),
         (HOOK.replace('{"Flag"', '{"Ball"'), "moves 'Ball'"),
         (HOOK.replace('rest["Flag"] +', ""), r"shape \[3\], expected finite.*\[3, 3\]"),
@@ -159,13 +155,22 @@ def test_a_scene_without_a_sensor_needs_matrices(room):
         (HOOK.replace("return {", "return time < 2 and {"), "returned bool"),
         (HOOK.replace("return {", "return {} if time > 1 else {"), "moves nothing, but at time 0"),
     ],
-)
+)  # fmt: skip
 def test_an_unusable_python_file_is_refused(room, code, match):
     file = room.with_name("mine.py")
     file.write_text(code)
     check_refused(UserSceneOptions(file, "still"), match)
 
 
-@pytest.mark.parametrize("name", ["none.xml", "textures/wood.png"])
-def test_a_file_that_is_not_a_scene_is_refused(room, name):
-    check_refused(UserSceneOptions(room.parent / name), "render takes")
+@pytest.mark.parametrize(
+    ("name", "parameters", "match"),
+    [
+        ("none.xml", (), "render takes"),
+        ("textures/wood.png", (), "render takes"),
+        ("scene.xml", (("colour", "red"),), "unused parameters"),
+    ],
+)
+def test_a_file_that_is_not_a_scene_and_an_unknown_parameter_are_refused(
+    room, name, parameters, match
+):
+    check_refused(UserSceneOptions(room.parent / name, parameters=parameters), match)

@@ -4,16 +4,15 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from typer.testing import CliRunner
 
 from rlbench.apps.render.mitsuba.open_tracer import open_tracer
 from rlbench.apps.render.mitsuba.variant import select_variant
 from rlbench.apps.render.scene import Camera, Scene, SceneError, XmlFile
 from rlbench.apps.render.user import auto_exposure, camera_path
 from rlbench.apps.render.user.wander import NO_SURFACE, TURN, wander
-from rlbench.cli.app import app
 from rlbench.clips.header import read_header
 from tests.apps.render.user.xml_room import document
+from tests.cli.runner import rlbench
 
 WIDTH, HEIGHT, DEPTH = 8.0, 2.6, 4.0  # metres; x from -4 to 4, y from 0 up, z from -2 to 2
 DOOR = 0.5  # the wall at x = 0 has a door for |z| below
@@ -48,6 +47,16 @@ LAMPS = "".join(
     'value="0.1"/><emitter type="area"><rgb name="radiance" value="30"/></emitter></shape>'
     for x in (-2, 2)
 )
+
+
+def write_flat(folder, more=""):
+    """The room with a door as a file that has a sensor."""
+    sensor = (
+        '<sensor type="perspective"><float name="fov" value="70"/><transform name="toWorld">'
+        '<lookat origin="-2.5, 1.4, 0.6" target="0, 1.2, -0.3" up="0, 1, 0"/></transform></sensor>'
+    )
+    boxes = "".join(_box(*box) for box in (*WALLS, *FURNITURE))
+    return document(folder, sensor + more + boxes + LAMPS)
 
 
 def _tracer(folder, boxes=(*WALLS, *FURNITURE), lights=LAMPS):
@@ -141,19 +150,9 @@ def test_a_seed_without_a_path_says_which_check_failed(
 
 def test_the_command_renders_a_clip_for_each_seed(llvm, tmp_path, monkeypatch):
     monkeypatch.setenv("RLBENCH_CACHE", str(tmp_path / "cache"))
-    sensor = (
-        '<sensor type="perspective"><float name="fov" value="70"/><transform name="toWorld">'
-        '<lookat origin="-2.5, 1.4, 0.6" target="0, 1.2, -0.3" up="0, 1, 0"/></transform></sensor>'
-    )
-    boxes = "".join(_box(*box) for box in (*WALLS, *FURNITURE))
-    file = document(tmp_path / "flat", sensor + boxes + LAMPS)
-    words = ["render", str(file), "--camera", "wander", "--seeds", "1,4", "--preset", "tiny"]
-    words += ["--frames", "2", "--size", "24x16", "--out", str(tmp_path / "out")]
-    result = CliRunner().invoke(app, words)
-    assert result.exit_code == 0, result.output
+    words = ("--seeds", "1,4", "--preset", "tiny", "--frames", 2, "--size", "24x16")
+    words = (write_flat(tmp_path / "flat"), *words, "--out", tmp_path / "out", "--camera")
+    rlbench("render", *words, "wander")
     names = {read_header(folder).name for folder in (tmp_path / "out").iterdir()}
     assert names == {"flat-wander-001", "flat-wander-004"}
-    words[3] = "orbit"
-    refused = CliRunner().invoke(app, words)
-    assert refused.exit_code == 2
-    assert "--camera wander" in refused.output
+    assert "--camera wander" in rlbench("render", *words, "orbit", code=2)

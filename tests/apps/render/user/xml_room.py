@@ -11,14 +11,8 @@ from rlbench.clips.presets import Preset
 from rlbench.clips.stored import open_clip
 
 H, W, FOV = 32, 48, 60.0
-
-
 PRESET = Preset("test", "tests", (H, W), frames=3, reference_spp=2, pool_spp=2)
-
-
 RADIUS = 0.8
-
-
 BODY = f"""
 <default name="max_depth" value="5"/>
 <integrator type="path"><integer name="maxDepth" value="$max_depth"/></integrator>
@@ -48,8 +42,6 @@ BODY = f"""
   <emitter type="area"><rgb name="radiance" value="17, 12, 4"/></emitter></shape>
 <shape type="obj" id="Flag"><string name="filename" value="flag.obj"/><ref id="Wood"/></shape>
 """
-
-
 HOOK = """SCENE = "scene.xml"
 
 def moving(time, rest):

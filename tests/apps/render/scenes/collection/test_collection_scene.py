@@ -1,32 +1,25 @@
 """Scenes by others as clips: the scene's own camera, random paths by seed, and missing files."""
 
-import hashlib
+from dataclasses import replace
+from functools import partial
 
 import numpy as np
 import pytest
 
+from rlbench.apps.render.jobs.job import Job
 from rlbench.apps.render.jobs.render_clips import preset_jobs, render_missing, scene_of_clip
 from rlbench.apps.render.mitsuba.variant import select_variant
 from rlbench.apps.render.scene import SceneError
 from rlbench.apps.render.scenes.collection import catalog
 from rlbench.apps.render.scenes.collection.catalog import load_catalog, pins_folder
-from rlbench.apps.render.scenes.collection.pins import Pin, PinnedFile, format_pin
+from rlbench.apps.render.scenes.collection.pins import Pin, PinnedFile, blob_id, format_pin
 from rlbench.apps.render.scenes.collection.scene import collection_scene
 from rlbench.clips.header import read_header
 from rlbench.clips.presets import PRESETS, Preset
-from tests.apps.render.user.test_wander import FURNITURE, LAMPS, WALLS, _box
-from tests.apps.render.user.xml_room import document
+from tests.apps.render.conftest import install_scene
+from tests.apps.render.user.test_wander import write_flat
 
-SENSOR = (
-    '<sensor type="perspective"><float name="fov" value="70"/><transform name="toWorld">'
-    '<lookat origin="-2.5, 1.4, 0.6" target="0, 1.2, -0.3" up="0, 1, 0"/></transform></sensor>'
-    '<shape type="obj"><string name="filename" value="flag.obj"/></shape>'
-)
 PRESET = Preset("small", "tests", (16, 24), frames=2, reference_spp=2, pool_spp=2)
-
-
-def _blob_id(content: bytes) -> str:
-    return hashlib.sha1(b"blob %d\0" % len(content) + content).hexdigest()
 
 
 @pytest.fixture
@@ -36,11 +29,11 @@ def attic(tmp_path, monkeypatch):
     monkeypatch.setenv(catalog.MIRROR_VARIABLE, str(tmp_path / "mirror"))
     select_variant()
     folder = tmp_path / "mirror" / "attic"
-    boxes = "".join(_box(*box) for box in (*WALLS, *FURNITURE))
-    document(folder, SENSOR + boxes + LAMPS)
-    names = ("scene.xml", "flag.obj")
-    contents = {name: (folder / name).read_bytes() for name in names}
-    files = tuple(PinnedFile(n, _blob_id(c), len(c)) for n, c in contents.items())
+    write_flat(folder, '<shape type="obj"><string name="filename" value="flag.obj"/></shape>')
+    files = tuple(
+        PinnedFile(path.name, blob_id(path), path.stat().st_size)
+        for path in (folder / "scene.xml", folder / "flag.obj")
+    )
     pins_folder().mkdir(parents=True)
     pin = Pin("wig42/rooms", 40 * "a", "attic", files)
     (pins_folder() / "attic.tsv").write_text(format_pin(pin))
@@ -67,7 +60,7 @@ def test_the_camera_and_the_exposure_are_chosen_when_the_scene_is_inspected(atti
 
 def test_a_clip_is_rendered_and_found_finished(attic):
     scene = collection_scene("attic", 1)
-    job = type(preset_jobs("tiny")[0])("attic-001", scene, PRESET, attic.parent / "clip")
+    job = Job("attic-001", scene, PRESET, attic.parent / "clip")
     (folder,) = render_missing([job])
     header = read_header(folder)
     assert (header.scene, header.missing_files) == ("attic", ())
@@ -76,34 +69,26 @@ def test_a_clip_is_rendered_and_found_finished(attic):
     assert job.is_finished
 
 
-def test_missing_files_change_the_scene_and_are_recorded(attic):
+def test_missing_files_change_the_scene_and_are_refused_in_a_reported_clip(attic, monkeypatch):
     before = collection_scene("attic", 1)
     (attic / "flag.obj").unlink()
-    partial = collection_scene("attic", 1)
-    assert partial.source_hash != before.source_hash
-    assert partial.inspect(1, (16, 24)).missing_files == ("flag.obj",)
-
-
-def test_a_reported_clip_of_a_scene_with_missing_files_is_refused(attic, monkeypatch):
-    (attic / "flag.obj").unlink()
-    plugins = {"attic": lambda seed=None: collection_scene("attic", seed)}
-    monkeypatch.setattr("rlbench.registry.list_plugins", lambda group: list(plugins))
-    monkeypatch.setattr("rlbench.registry.load_plugin", lambda group, name: plugins[name])
+    after = collection_scene("attic", 1)
+    assert after.source_hash != before.source_hash
+    assert after.inspect(1, (16, 24)).missing_files == ("flag.obj",)
+    install_scene(monkeypatch, "attic", partial(collection_scene, "attic"))
     reported = Preset("shown", "tests", (16, 24), 2, 2, ("attic-001",))
     with pytest.raises(SceneError, match=r"misses 1 files, such as flag.obj: run `rlbench scenes"):
         preset_jobs(reported)
-    developed = Preset("tried", "tests", (16, 24), 2, 2, ("attic-001",), uses=("decide",))
-    assert len(preset_jobs(developed)) == 1
+    assert len(preset_jobs(replace(reported, uses=("decide",)))) == 1
 
 
 def test_scenes_that_are_reported_are_in_no_preset_for_training_or_decisions():
-    def scenes(use):
-        clips = (clip for preset in PRESETS.values() if use(preset.uses) for clip in preset.scenes)
-        return {clip if clip in load_catalog() else clip.rpartition("-")[0] for clip in clips}
-
-    reported = scenes(lambda uses: uses == ("report",)) & set(load_catalog())
+    catalog_names, reported, others = set(load_catalog()), set(), set()
+    for preset in PRESETS.values():
+        names = {c if c in catalog_names else c.rpartition("-")[0] for c in preset.scenes}
+        (reported if preset.uses == ("report",) else others).update(names & catalog_names)
     assert {"living-room", "classroom", "staircase2"} <= reported
-    assert not reported & scenes(lambda uses: uses != ("report",))
+    assert not reported & others
 
 
 def test_no_training_path_is_one_of_a_decision():
