@@ -8,30 +8,14 @@ from pathlib import Path
 
 import numpy as np
 import numpy.typing as npt
-import OpenEXR
 import torch
 
 from rlbench.apps.dumps.lint.clip_arrays import ClipArrays
 from rlbench.clips.procedural import world
+from tests.apps.dumps.exr_files import Planes, write_file
 
 FOV = 60.0  # horizontal, degrees, of the procedural camera
 SAMPLES = 8
-Planes = dict[str, np.ndarray]
-
-
-def write_file(path: Path, parts: dict[str, Planes]) -> None:
-    """An EXR of half planes, but for depth and motion; several parts make a multi-part file."""
-    path.parent.mkdir(parents=True, exist_ok=True)
-    layout = {"compression": OpenEXR.ZIP_COMPRESSION, "type": OpenEXR.scanlineimage}
-    planes = {
-        part: {name: np.ascontiguousarray(plane) for name, plane in channels.items()}
-        for part, channels in parts.items()
-    }
-    if len(planes) == 1:
-        OpenEXR.File(layout, next(iter(planes.values()))).write(str(path))
-    else:
-        made = [OpenEXR.Part(dict(layout), channels, part) for part, channels in planes.items()]
-        OpenEXR.File(made).write(str(path))
 
 
 def planes(
