@@ -5,7 +5,6 @@ from __future__ import annotations
 from pathlib import Path
 
 import numpy as np
-import OpenEXR
 import pytest
 import torch
 
@@ -15,6 +14,7 @@ from rlbench.apps.dumps.denoising.shot import denoise_sequence
 from rlbench.denoise import NoisyFrame, denoise_frame
 from rlbench.errors import SourceError
 from rlbench.frames import GBuffer
+from tests.apps.dumps.exr_files import read_image, write_file, write_image
 
 H, W = 24, 40
 RNG = np.random.default_rng(4)
@@ -22,18 +22,6 @@ COLOR = RNG.random((H, W, 3)).astype(np.float32) ** 3
 ALBEDO = RNG.random((H, W, 3)).astype(np.float32)
 NORMAL = RNG.normal(size=(H, W, 3)).astype(np.float32)
 NORMAL /= np.linalg.norm(NORMAL, axis=-1, keepdims=True)
-
-
-def write(path: Path, image: np.ndarray, names: str | list[str] = "RGB", **header) -> None:
-    planes = {name: np.ascontiguousarray(image[..., k]) for k, name in enumerate(names)}
-    start = {"compression": OpenEXR.ZIP_COMPRESSION, "type": OpenEXR.scanlineimage}
-    with OpenEXR.File({**start, **header}, planes) as file:
-        file.write(str(path))
-
-
-def read(path: Path) -> np.ndarray:
-    with OpenEXR.File(str(path), separate_channels=True) as file:
-        return np.stack([file.channels()[name].pixels for name in "RGB"], -1)
 
 
 def run(source: Path, out: Path, row: str = "oidn", **options) -> int:
@@ -59,13 +47,13 @@ def expect(color=COLOR, albedo=ALBEDO, normal=NORMAL) -> np.ndarray:
 
 @pytest.fixture
 def folder(tmp_path) -> Path:
-    write(tmp_path / "color.exr", COLOR)
-    write(tmp_path / "albedo.exr", ALBEDO)
-    write(tmp_path / "normal.exr", NORMAL, "XYZ")
-    write(tmp_path / "encoded.exr", (NORMAL + 1) / 2)
+    write_image(tmp_path / "color.exr", COLOR)
+    write_image(tmp_path / "albedo.exr", ALBEDO)
+    write_image(tmp_path / "normal.exr", NORMAL, "XYZ")
+    write_image(tmp_path / "encoded.exr", (NORMAL + 1) / 2)
     layers = {f"albedo.{c}": ALBEDO[..., k] for k, c in enumerate("RGB")}
     layers |= {f"N.{c}": NORMAL[..., k] for k, c in enumerate("XYZ")}
-    write(tmp_path / "aovs.exr", np.stack(list(layers.values()), -1), list(layers))
+    write_file(tmp_path / "aovs.exr", {"": layers})
     return tmp_path
 
 
@@ -81,17 +69,17 @@ def test_one_image_and_its_buffers_in_other_files(folder, albedo, normal):
     others = {"albedo": str(folder / albedo), "normal": str(folder / normal)}
     assert run(folder / "color.exr", folder / "out", others=others) == 1
     expected = expect()
-    np.testing.assert_allclose(read(folder / "out" / "color.exr"), expected, atol=1e-5)
+    np.testing.assert_allclose(read_image(folder / "out" / "color.exr"), expected, atol=1e-5)
     run(folder / "color.exr", folder / "alone")
-    assert np.abs(read(folder / "alone" / "color.exr") - expected).max() > 0.01
+    assert np.abs(read_image(folder / "alone" / "color.exr") - expected).max() > 0.01
 
 
 @pytest.mark.parametrize("pattern", ["color.####.exr", "color.%04d.exr", "color.{frame}.exr"])
 def test_a_pattern_of_names_is_a_sequence_with_gaps(tmp_path, pattern):
     for number in (1, 11, 12):
-        write(tmp_path / f"color.{number:04d}.exr", COLOR)
-        write(tmp_path / f"albedo.{number:04d}.exr", ALBEDO)
-    write(tmp_path / "unrelated.exr", ALBEDO)
+        write_image(tmp_path / f"color.{number:04d}.exr", COLOR)
+        write_image(tmp_path / f"albedo.{number:04d}.exr", ALBEDO)
+    write_image(tmp_path / "unrelated.exr", ALBEDO)
     others = {"albedo": str(tmp_path / "albedo.####.exr")}
     assert run(tmp_path / pattern, tmp_path / "out", others=others) == 3
     assert {path.name for path in (tmp_path / "out").glob("*.exr")} == {
@@ -103,7 +91,7 @@ def test_a_pattern_of_names_is_a_sequence_with_gaps(tmp_path, pattern):
 
 def test_a_folder_of_one_image_a_frame_needs_no_layout(tmp_path):
     for number in (1, 2):
-        write(tmp_path / f"{number:04d}.exr", COLOR)
+        write_image(tmp_path / f"{number:04d}.exr", COLOR)
     assert run(tmp_path, tmp_path / "out") == 2
 
 
@@ -126,11 +114,11 @@ def test_overscan_is_denoised(tmp_path):
     """Pixels outside the display window: as if the window were that of all pixels."""
     inside = ((4, 2), (W - 5, H - 3))
     corners = ((0, 0), (W - 1, H - 1))
-    for name, display in (("whole", corners), ("overscan", inside)):
-        folder = tmp_path / name
-        folder.mkdir()
-        write(folder / "a.exr", COLOR, dataWindow=corners, displayWindow=display)
-        run(folder / "a.exr", folder / "out")
-    denoised = [read(tmp_path / name / "out" / "a.exr") for name in ("whole", "overscan")]
+    denoised = []
+    for name, display in (("all", corners), ("overscan", inside)):
+        path = tmp_path / name / "a.exr"
+        write_image(path, COLOR, dataWindow=corners, displayWindow=display)
+        run(path, path.parent / "out")
+        denoised.append(read_image(path.parent / "out" / "a.exr"))
     np.testing.assert_array_equal(*denoised)
     assert (denoised[0] != COLOR).any(-1).mean() > 0.99

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import numpy as np
-import OpenEXR
 import pytest
 import torch
 
@@ -14,6 +15,7 @@ from rlbench.apps.dumps.denoising.shot import denoise_sequence
 from rlbench.denoise import DenoiseError, NoisyFrame, denoise_frame
 from rlbench.errors import SourceError
 from rlbench.frames import GBuffer
+from tests.apps.dumps.exr_files import read_image, read_parts, write_file
 
 H, W = 40, 56
 HALF_STEP = 2.0**-11  # relative error of one half number
@@ -80,27 +82,29 @@ def test_parts_with_more_light_than_the_image_are_none(method):
         denoise_parts(method, make_frame(make_light(1)), parts, {}, 1.0)
 
 
-def write(path, dtype, passes: dict[str, np.ndarray], rest: float = 0.0) -> None:
+def write(path: Path, dtype: type, passes: dict[str, np.ndarray]) -> None:
     """A file of one image with these passes, as Blender names them."""
     colours = {name: passes.get(f"{name[:-3]}Col", np.ones(3)) for name in passes}
-    image = sum(p * colours[n] for n, p in passes.items() if not n.endswith("Col")) + rest
+    image = sum(p * colours[n] for n, p in passes.items() if not n.endswith("Col"))
     planes = {
-        f"ViewLayer.{name}.{letter}": np.ascontiguousarray(pixels[..., index], dtype)
+        f"ViewLayer.{name}.{letter}": pixels[..., index].astype(dtype)
         for name, pixels in {**passes, "Combined": image}.items()
         for index, letter in enumerate("RGB")
     }
-    header = {"compression": OpenEXR.ZIP_COMPRESSION, "type": OpenEXR.scanlineimage}
-    with OpenEXR.File(header, planes) as file:
-        file.write(str(path))
+    write_file(path, {"": planes})
 
 
-def read(path, name: str) -> np.ndarray:
-    with OpenEXR.File(str(path), separate_channels=True) as file:
-        channels = file.channels()
-        return np.stack(
-            [channels[f"ViewLayer.{name}.{letter}"].pixels.astype(np.float64) for letter in "RGB"],
-            -1,
-        )
+def read(path: Path, name: str) -> np.ndarray:
+    return read_image(path, f"ViewLayer.{name}.").astype(np.float64)
+
+
+def denoise(method, folder: Path, passes: list[str]):
+    """The shot of a file with these passes, and the file that was written."""
+    (shot,) = find_noisy_sequences(
+        folder / "a.exr", passes=passes, needs_motion=False, has_memory=False
+    )
+    denoise_sequence(shot, method, "oidn", folder / "out")
+    return shot, folder / "out" / "a.exr"
 
 
 @pytest.mark.parametrize("dtype", [np.float16, np.float32])
@@ -111,11 +115,7 @@ def test_files_of_blender_add_up_within_half_rounding(method, tmp_path, dtype):
     passes = {"DiffDir": make(1), "DiffCol": make(2), "GlossInd": make(3), "GlossCol": make(4)}
     write(tmp_path / "a.exr", dtype, {**passes, "Emit": make(5)})
     names = ["DiffDir", "GlossInd*GlossCol", "emit"]
-    (shot,) = find_noisy_sequences(
-        tmp_path / "a.exr", passes=names, needs_motion=False, has_memory=False
-    )
-    denoise_sequence(shot, method, "oidn", tmp_path / "out")
-    written = tmp_path / "out" / "a.exr"
+    _, written = denoise(method, tmp_path, names)
     image = read(written, "Combined")
     assert not np.array_equal(image, read(tmp_path / "a.exr", "Combined"))
     total = read(written, "DiffDir") * read(written, "DiffCol")
@@ -126,26 +126,14 @@ def test_files_of_blender_add_up_within_half_rounding(method, tmp_path, dtype):
 
 def test_passes_may_be_in_parts_of_their_own(method, tmp_path):
     images = {"beauty": make_light(1) + make_light(2), "key": make_light(1), "fill": make_light(2)}
-    parts = [
-        OpenEXR.Part(
-            {"compression": OpenEXR.ZIP_COMPRESSION, "type": OpenEXR.scanlineimage},
-            {letter: np.ascontiguousarray(image[0, k]) for k, letter in enumerate("RGB")},
-            name,
-        )
-        for name, image in images.items()
-    ]
-    with OpenEXR.File(parts) as file:
-        file.write(str(tmp_path / "a.exr"))
-    (shot,) = find_noisy_sequences(
-        tmp_path / "a.exr", passes=["key", "fill"], needs_motion=False, has_memory=False
-    )
+    parts = {
+        name: dict(zip("RGB", image[0].numpy(), strict=True)) for name, image in images.items()
+    }
+    write_file(tmp_path / "a.exr", parts)
+    shot, written = denoise(method, tmp_path, ["key", "fill"])
     for name, part in shot.read_parts(0).items():
         torch.testing.assert_close(part.light, images[name], rtol=0, atol=0)
-    denoise_sequence(shot, method, "oidn", tmp_path / "out")
-    with OpenEXR.File(str(tmp_path / "out" / "a.exr"), separate_channels=True) as file:
-        beauty, key, fill = (
-            np.stack([part.channels[letter].pixels for letter in "RGB"]) for part in file.parts
-        )
+    beauty, key, fill = (np.stack(list(planes.values())) for _, planes in read_parts(written))
     np.testing.assert_allclose(key + fill, beauty, rtol=1e-5, atol=1e-6)
     assert not np.array_equal(beauty, images["beauty"][0].numpy())
 
@@ -170,13 +158,7 @@ def test_a_pass_that_is_not_there_is_named(tmp_path, names, message):
     [("DiffDir", "DiffCol"), ("Transmission Indirect", "Transmission Color"), ("Emit", None)],
 )
 def test_the_colour_of_a_pass_of_blender_is_found(tmp_path, light, colour):
-    planes = {
-        f"ViewLayer.{name}.{letter}": np.ones((H, W), np.float32)
-        for name in filter(None, (light, colour))
-        for letter in "RGB"
-    }
-    header = {"compression": OpenEXR.ZIP_COMPRESSION, "type": OpenEXR.scanlineimage}
-    with OpenEXR.File(header, planes) as file:
-        file.write(str(tmp_path / "a.exr"))
+    passes = {name: np.ones((H, W, 3)) for name in (light, colour) if name}
+    write(tmp_path / "a.exr", np.float32, passes)
     (found,) = find_passes(tmp_path / "a.exr", [light])
     assert (found.colour is not None) == (colour is not None)

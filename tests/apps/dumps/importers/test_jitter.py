@@ -52,21 +52,16 @@ def motion_of(found: ImportedSequence) -> np.ndarray:
     return np.moveaxis(np.stack(frames), -1, 1)
 
 
-CAMERAS = {
-    "a formula": ("halton 8", 1.0, ""),
-    "a formula of the other sign": ("halton 8", -1.0, "scale = -1.0"),
-    "a file": ("offsets.txt", 1.0, ""),
-}
-
-
-@pytest.mark.parametrize("kind", CAMERAS)
-def test_methods_get_motion_without_the_jitter(arrays, tmp_path, kind):
-    jitter, sign, more = CAMERAS[kind]
+@pytest.mark.parametrize(
+    ("jitter", "sign", "more"),
+    [("halton 8", 1.0, ""), ("halton 8", -1.0, "scale = -1.0"), ("offsets.txt", 1.0, "")],
+)
+def test_methods_get_motion_without_the_jitter(arrays, tmp_path, jitter, sign, more):
     dump_jittered(arrays, tmp_path / "dump", sign)
     lines = ["# x, y", *("{}, {}".format(*halton_offset(i)) for i in range(4))]
     (tmp_path / "dump" / "offsets.txt").write_text("\n".join(lines))
     found = sequence(tmp_path / "dump", f'[camera]\njitter = "{jitter}"\n{more}', "jittered = true")
-    first = 1 if kind == "a file" else 0  # no offset is known before the first of a file
+    first = 1 if jitter == "offsets.txt" else 0  # no offset is known before the first of a file
     # pixels; stored as shares of the image in single precision
     expected = arrays.gbuffer["motion"]
     np.testing.assert_allclose(motion_of(found)[first:], expected[first:], atol=1e-4)
@@ -90,10 +85,9 @@ def test_offsets_are_in_the_header_and_a_jittered_reference_is_a_limitation(arra
     assert stored.jitter == tuple(halton_offset(i) for i in range(4))
     assert stored.limitations == ("reference jitter",)
     assert stored.digest_fields("path").keys() == header.digest_fields("path").keys()
-    with pytest.raises(ClipError, match="jitter"):
-        replace(header, jitter=((9.0, 0.0),) * 4)
-    with pytest.raises(ClipError, match="jitter"):
-        replace(header, jitter=((0.0, 0.0),))
+    for wrong in (((9.0, 0.0),) * 4, ((0.0, 0.0),)):
+        with pytest.raises(ClipError, match="jitter"):
+            replace(header, jitter=wrong)
 
 
 def test_jittered_images_need_offsets(arrays, tmp_path):
@@ -154,7 +148,7 @@ def test_any_file_of_offsets_is_read_or_an_error(tmp_path_factory, content):
     assert max(abs(x), abs(y)) <= 2
 
 
-@pytest.mark.parametrize("jitter", ["halton", "halton 0", "sobol 8", "nowhere.txt", ""])
+@pytest.mark.parametrize("jitter", ["halton 0", "sobol 8", ""])
 def test_a_formula_that_is_not_known_is_an_error_that_shows_one(tmp_path, jitter):
     with pytest.raises(SourceError, match="halton 16"):
         read_offsets(Camera(jitter=jitter), tmp_path)

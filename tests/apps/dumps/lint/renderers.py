@@ -8,7 +8,8 @@ from pathlib import Path
 import torch
 
 from rlbench.apps.dumps.lint.clip_arrays import ClipArrays
-from tests.apps.dumps.importers.dumps import Planes, planes, write_file
+from tests.apps.dumps.exr_files import Planes, write_file
+from tests.apps.dumps.importers.dumps import planes
 
 SAMPLES = 2
 Buffers = dict[str, torch.Tensor]  # of one frame [c h w]
@@ -47,16 +48,6 @@ def renderman(buffers: Buffers) -> Planes:
     }
 
 
-def vray(buffers: Buffers) -> Planes:
-    return {
-        **planes(buffers["albedo"], "RGB", "VRayDiffuseFilter."),
-        **planes(buffers["normal"], "XYZ", "VRayNormals."),
-        **_depth(buffers, "VRayZDepth.R", 1e10),
-        **_motion(buffers, ["VRayVelocity.X", "VRayVelocity.Y"], 1, -1),
-        **_alpha(buffers, "A"),
-    }
-
-
 def karma(buffers: Buffers) -> Planes:
     h, w = buffers["depth"].shape[-2:]
     return {
@@ -64,15 +55,6 @@ def karma(buffers: Buffers) -> Planes:
         **planes(buffers["normal"], "xyz", "N."),
         **_depth(buffers, "depth", 1e10),
         **_motion(buffers, ["motionvectors.x", "motionvectors.y"], 2 / w, -2 / h),
-    }
-
-
-def redshift(buffers: Buffers) -> Planes:
-    return {
-        **planes(buffers["albedo"], "RGB", "DiffuseFilter."),
-        **_depth(buffers, "Z", 1e10),
-        **_motion(buffers, ["MotionVectors.R", "MotionVectors.G"]),
-        **_alpha(buffers, "A"),
     }
 
 
@@ -102,21 +84,15 @@ def blender(buffers: Buffers) -> Planes:
     }
 
 
-RENDERERS: dict[str, tuple[str, tuple[str, ...], Callable[[Buffers], Planes]]] = {
+RENDERERS: dict[str, tuple[str, str, Callable[[Buffers], Planes]]] = {
     # names of files below a folder of a sample; channels of the beauty
-    "Arnold": ("{kind}/shot_v012.{frame:04d}.exr", ("R", "G", "B"), arnold),
-    "RenderMan": ("{kind}/beauty.{frame:04d}.exr", ("Ci.r", "Ci.g", "Ci.b"), renderman),
-    "V-Ray": ("sh010/{kind}_{frame:04d}.exr", ("R", "G", "B"), vray),
-    "Karma": ("{kind}/karma.{frame}.exr", ("C.r", "C.g", "C.b"), karma),
-    "Redshift": ("{kind}.{frame:04d}.exr", ("R", "G", "B"), redshift),
-    "Unreal": (
-        "{kind}/Seq.{frame:04d}.exr",
-        ("FinalImage.R", "FinalImage.G", "FinalImage.B"),
-        unreal,
-    ),
+    "Arnold": ("{kind}/shot_v012.{frame:04d}.exr", "R G B", arnold),
+    "RenderMan": ("sh010/{kind}_{frame:04d}.exr", "Ci.r Ci.g Ci.b", renderman),
+    "Karma": ("{kind}.{frame}.exr", "C.r C.g C.b", karma),
+    "Unreal": ("{kind}/Seq.{frame:04d}.exr", "FinalImage.R FinalImage.G FinalImage.B", unreal),
     "Blender": (
         "{frame:04d}/{kind}.exr",
-        ("Layer.Combined.R", "Layer.Combined.G", "Layer.Combined.B"),
+        "Layer.Combined.R Layer.Combined.G Layer.Combined.B",
         blender,
     ),
 }
@@ -131,4 +107,4 @@ def write_renderer(name: str, arrays: ClipArrays, folder: Path) -> None:
         images |= {"referenceA": arrays.half_a[t], "referenceB": arrays.half_b[t]}
         for kind, image in images.items():
             path = folder / pattern.format(kind=kind, frame=1001 + t)
-            write_file(path, {"": planes(image, beauty, kind="f4") | layers(buffers)})
+            write_file(path, {"": planes(image, beauty.split(), kind="f4") | layers(buffers)})
