@@ -28,7 +28,6 @@ def ensured(monkeypatch):
 @pytest.mark.parametrize(
     ("words", "message"),
     [
-        (("--preset", "huge"), "error: no preset 'huge'; available: tiny, mini"),
         (("--scenes", "cellar"), "error: no scene 'cellar'; available: bathroom, bathroom2, city"),
         (
             ("--scenes", "city-crane"),
@@ -36,16 +35,12 @@ def ensured(monkeypatch):
         ),
         (("--seeds", "48:0"), "Invalid value for '--seeds': '48:0' is no list of seeds"),
         (("--takes", "some"), "'some' is not one of 'main', 'all'"),
-        (("--radiance-cap", "0"), "'0' is not a number above 0"),
         (("--buffers", "taste"), "error: "),
-        (("--camera", "orbit"), "--camera is for a scene FILE"),
         (("--engine", "local=auto"), "error: --engine local=auto: local has no address"),
     ],
 )
 def test_wrong_use_of_render_is_one_message(words, message):
-    output = rlbench("render", *words, code=2)
-    assert message in output
-    assert "Traceback" not in output
+    assert message in rlbench("render", *words, code=2)
 
 
 def test_render_and_training_request_the_clips_of_the_seeds(ensured):
@@ -73,20 +68,14 @@ def test_the_takes_of_a_preset_can_be_chosen(ensured, requested, takes):
     assert [(preset.name, preset.takes) for preset, _, _ in ensured] == [("standard", takes)]
 
 
-def test_render_can_measure_the_time_of_a_sample_again(clip_folder, monkeypatch):
-    monkeypatch.setattr(
-        "rlbench.apps.render.jobs.render_clips.ensure", lambda *_, **__: [Path(clip_folder)]
-    )
-    output = rlbench("render", "--remeasure-sample-time", code=2)
-    assert "was rendered on 'another machine'" in output  # by the function that measures
-
-
-def test_render_can_print_the_hashes_by_which_others_recognise_the_clips(clip_folder, monkeypatch):
+def test_render_can_print_hashes_and_measure_the_time_of_a_sample(clip_folder, monkeypatch):
     monkeypatch.setattr(
         "rlbench.apps.render.jobs.render_clips.ensure", lambda *_, **__: [Path(clip_folder)]
     )
     clip = open_clip(clip_folder)
     assert rlbench("render", "--digests").strip() == f"{clip.name} {clip.digest[:12]}"
+    output = rlbench("render", "--remeasure-sample-time", code=2)
+    assert "was rendered on 'another machine'" in output  # by the function that measures
 
 
 def test_lint_of_a_folder_without_clips_is_wrong_use(tmp_path):

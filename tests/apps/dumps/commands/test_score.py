@@ -2,11 +2,17 @@
 
 from __future__ import annotations
 
+import json
+import re
 import shutil
 
+import numpy as np
 import pytest
+from PIL import Image
 
+from rlbench import metrics
 from rlbench.benchmark import results as table
+from tests.apps.dumps.exr_files import write_image
 from tests.cli.runner import rlbench
 from tests.conftest import write_noise
 
@@ -42,14 +48,11 @@ def scored(root):
     return score(root)
 
 
-def test_the_end_says_scores_and_that_nobody_verified_them(scored, root):
+def test_the_mean_of_exported_samples_is_the_row_mean_but_not_verified(scored, root):
     assert "theirs on city at 1 spp: PSNR" in scored
     assert "not verified" in scored
     assert "not ranked by time" in scored
     assert "scored before" in score(root)
-
-
-def test_the_mean_of_exported_samples_is_the_row_mean(scored, root):
     rows = table.read(root / "r").query("metric == 'psnr' and frame >= 0")
     means = rows.groupby(["method", "clip"])["value"].mean().unstack("clip")
     assert means.loc["theirs"].to_list() == pytest.approx(means.loc["mean"].to_list(), abs=1e-4)
@@ -104,9 +107,57 @@ def test_a_claimed_time_is_ranked_among_measured_ones_and_marked(root, device):
         (("--device", "RTX 4090"), "add --ms"),
         (("--samples", "absent"), "absent does not exist"),
         (("--spp", 99), "--spp 99: clip 'city' stores"),
+        (("--metrics", "ssim"), "--metrics is for two image files"),
     ],
 )
 def test_wrong_use_of_score_is_one_message(root, words, message):
-    output = score(root, *words, code=2)
-    assert message in output
-    assert "Traceback" not in output
+    assert message in score(root, *words, code=2)
+
+
+# Two files
+
+
+@pytest.fixture
+def files(tmp_path, monkeypatch) -> tuple[str, str]:
+    """An image and its reference in the current folder."""
+    monkeypatch.chdir(tmp_path)
+    noise = np.random.default_rng(7).normal(0, 0.05, (180, 200, 3))
+    reference = np.indices((180, 200, 3))[0] / 200
+    write_image(tmp_path / "i.exr", (reference + noise).clip(0, 1).astype(np.float32))
+    write_image(tmp_path / "r.exr", reference.astype(np.float32))
+    return "i.exr", "r.exr"
+
+
+def test_two_files_are_scored(files):
+    output = rlbench("score", *files)
+    assert f"{metrics.psnr(*files):.5g}" in output
+    assert "clipped sRGB" in output
+    words = ("--metrics", "psnr,smape", "--convention", "hable", "--exposure", 0.5, "--json")
+    document = json.loads(rlbench("score", *files, *words))
+    options = {"data_range": 2.0, "convention": "hable"}
+    expected = metrics.score(*files, ["psnr", "smape"], **options)
+    assert {row["metric"]: row["value"] for row in document["scores"]} == pytest.approx(expected)
+    assert document["scores"][0]["better"] == "higher"
+
+
+def test_remarks_about_two_files(files, tmp_path):
+    hole = np.zeros((180, 200, 3), np.float32)
+    hole[3] = np.nan
+    write_image(tmp_path / "hole.exr", hole)
+    Image.fromarray(np.zeros((180, 200, 3), np.uint8)).save(tmp_path / "i.png")
+    for file, remark in (("hole.exr", "200 pixels are NaN"), ("i.png", "files of two kinds")):
+        document = json.loads(rlbench("score", file, "r.exr", "--json"))
+        assert remark in document["remarks"][0]
+
+
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [
+        (("i.exr", "absent.exr"), "there is no file .*absent.exr"),
+        (("i.exr", "i.exr", "--spp", 1), "--spp is for folders of images. Omit it"),
+        (("nrd", "."), "--spp is needed for a folder of images.*rlbench score IMAGE REFERENCE"),
+    ],
+)
+def test_wrong_use_of_two_files_is_one_message(files, words, message):
+    output = rlbench("score", *words, code=2)
+    assert re.search(message, output), output
