@@ -137,6 +137,7 @@ REFUSED = {
     "sizes": (lambda m: m.psnr(GREY, GREY[:10]), "image has 24 x 20 pixels, and reference 24 x 10"),
     "channels": (lambda m: m.psnr(TENSOR.movedim(0, -1), TENSOR), "Channels are first in a tensor"),
     "integers": (lambda m: m.psnr(np.uint8(GREY), GREY), "uint8: give the value of display white"),
+    "reference": (lambda m: m.psnr(GREY, HOLE), "reference has NaN or infinite pixels: 24 of 480"),
     "no reference": (lambda m: m.psnr(GREY), "psnr needs a reference"),
     "halves": (lambda m: m.psnr_debiased(GREY, GREY), "needs a pair of independent half"),
     "motion": (lambda m: m.flicker([GREY] * 3, GREY), "flicker needs motion"),

@@ -20,7 +20,7 @@ from rlbench.apps.dumps.lint.clip_arrays import ClipArrays
 from rlbench.denoise import DenoiseError
 from rlbench.errors import SourceError
 from tests.apps.dumps.exr_files import read_image, read_parts, read_planes, write_file
-from tests.apps.dumps.importers.dumps import planes, write_blender, write_falcor, write_oidn
+from tests.apps.dumps.importers.dumps import halves, write_blender, write_falcor, write_oidn
 from tests.apps.dumps.lint.broken_fixtures import correct_clip
 
 ROW = "accumulate/tuned"
@@ -135,9 +135,9 @@ def test_files_of_any_packing_type_and_window_are_kept(copy, tmp_path, header, p
 
 
 def test_half_numbers_and_other_parts_are_kept(arrays, tmp_path):
-    color = planes(arrays.pools["path"][0, 0], "RGB")
-    albedo = planes(arrays.gbuffer["albedo"][0], "RGB")
-    normal = planes(arrays.gbuffer["normal"][0], "XYZ")
+    color = halves(arrays.pools["path"][0, 0], "RGB")
+    albedo = halves(arrays.gbuffer["albedo"][0], "RGB")
+    normal = halves(arrays.gbuffer["normal"][0], "XYZ")
     parts = {"beauty": color, "aux": {f"alb.{k}": v for k, v in albedo.items()} | normal}
     write_file(tmp_path / "in" / "still.exr", parts)
     layout = tmp_path / "own.toml"

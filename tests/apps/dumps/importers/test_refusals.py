@@ -47,38 +47,23 @@ def rename(old: str, new: str) -> Callable[[Path], object]:
 
 ONE = "walk_0001_seed1_0001spp.hdr.exr"
 OIDN = {
-    "a frame is missing": (
-        drop("walk_0001*"),
-        r"clip 'walk': frames 0 to 2 are required and 1 of them are missing: 1;.*--frames",
-    ),
-    "no reference": (
-        drop("walk_0001*1024spp*"),
-        r"clip 'walk', frame 1 has no reference.*_ref\.hdr\.exr.*it has: walk_0001_seed0",
-    ),
-    "no 1-spp image": (
-        rename("_0001spp", "_4spp"),
-        r"frame 0 has no image of 1 spp, and a mean of more cannot be separated",
-    ),
-    "no albedo in one frame": (drop("walk_0001*.alb.exr"), r"clip 'walk', albedo: .* missing: 1"),
+    "a frame is missing": (drop("walk_0001*"), "'walk': frames 0 to 2 .* missing: 1;.*--frames"),
+    "no reference": (drop("walk_0001*1024spp*"), "frame 1 has no reference.*it has: walk_0001_see"),
+    "no 1-spp image": (rename("_0001spp", "_4spp"), "frame 0 has no image of 1 spp, and a mean"),
+    "no albedo in one frame": (drop("walk_0001*.alb.exr"), "'walk', albedo: .* missing: 1"),
     "another size": (
         lambda f: write_image(f / ONE, np.zeros((H, W + 1, 3), np.float32)),
-        r"walk_0001_seed1_0001spp\.hdr\.exr is 17 x 12 pixels, the first .* 16 x 12; all frames",
+        "walk_0001_seed1_0001spp.hdr.exr is 17 x 12 pixels, the first .* 16 x 12",
     ),
-    "fewer samples": (
-        drop("walk_0001_seed1*"),
-        r"frame 1 has 1 image of 1 spp, others up to 2; .*--samples 1",
-    ),
+    "fewer samples": (drop("walk_0001_seed1*"), "frame 1 has 1 image of 1 spp, .*--samples 1"),
     "the same image twice": (
         lambda f: write_image(f / ONE.replace("0001spp", "1"), radiance(1, 1)),
-        r"are the same image of one frame",
+        "are the same image of one frame",
     ),
-    "a clip": (
-        lambda f: drop("walk*")(f) and (f / "clip.toml").touch(),
-        r"is a clip already",
-    ),
+    "a clip": (lambda f: drop("*")(f) and (f / "clip.toml").touch(), "is a clip already"),
     "two clips of one name": (
         lambda f: write_oidn(f / "source", frames=1) and rename("walk_0", "source-walk_0")(f),
-        r"two clips named 'source-walk'; import .* separately",
+        "two clips named 'source-walk'; import .* separately",
     ),
 }
 
@@ -121,45 +106,41 @@ def bomb_of_lz4(path: Path) -> None:
 
 
 NOISEBASE = {
-    "a frame is missing": (Path.unlink, r"clip 'corridor': .* missing: 1;"),
-    "no zip": (lambda p: p.write_text("<html>"), r"frame0001\.zip cannot be read, truncated"),
-    "no reference": (arrays(reference=None), r"has no 'reference', so nothing can be scored"),
+    "a frame is missing": (Path.unlink, "'corridor': .* missing: 1;"),
+    "no zip": (lambda p: p.write_text("<html>"), "frame0001.zip cannot be read, truncated"),
+    "no reference": (arrays(reference=None), "has no 'reference', so nothing can be scored"),
     "no normal": (arrays(normal=None), r"has no normal/\.zarray; it has: .*color"),
     "fewer positions": (
         arrays(position=np.zeros((3, H, W, 2), np.float32)),
         r"position is of shape \(3, 12, 16, 2\), expected \(3, 12, 16, 6\)",
     ),
+    "three exposures": (arrays(exposure=np.zeros(3, np.float32)), "exposure is of shape .3,."),
     "a crop": (
         arrays(position=np.roll(noisebase_arrays(1)["position"], 3, axis=2)),
         r"project \d+\.\d pixels away from their own pixels .* crop",
     ),
     "a pickle": (
         metadata(dtype="|O", filters=[{"id": "pickle"}]),
-        r"without filters; it says.*pickle",
+        "without filters; it says.*pick",
     ),
-    "objects": (metadata(dtype="|O"), r"is of type object; only numbers are read"),
+    "objects": (metadata(dtype="|O"), "is of type object; only numbers are read"),
     "a codec that unpickles": (
         metadata(compressor={"id": "pickle", "protocol": 5}),
-        r"is packed by \{'id': 'pickle'.*read are: lz4, zstd, blosc",
+        "is packed by",
     ),
-    "a chunk that leaves": (metadata(dimension_separator="/../../"), r"expected zarr format 2"),
+    "zarr 3": (metadata(zarr_format=3), "expected zarr format 2"),
+    "a chunk that leaves": (metadata(dimension_separator="/../../"), "expected zarr format 2"),
     "a huge image": (
         metadata(shape=[4, 10**5, 10**5, 6], chunks=[4, 10**4, 10**4, 1]),
-        r"claims to be 100000 x 100000 pixels",
+        "claims to be 100000 x 100000 pixels",
     ),
-    "a huge chunk": (
-        metadata(chunks=[4, 10**5, 10**5, 4]),
-        r"claims chunks of 160000000000 bytes",
-    ),
+    "a huge chunk": (metadata(chunks=[4, 10**5, 10**5, 4]), "claims chunks of 160000000000 bytes"),
     "very many chunks": (
         metadata(shape=[4, 10**3, 10**3, 6], chunks=[1, 1, 1, 1]),
-        r"and 100000 chunks are read",
+        "and 100000 chunks are read",
     ),
-    "a bomb of the zip": (entry(CHUNK, bytes(10**7)), r"unpacks to 10000000 bytes; at most"),
-    "a bomb of json": (
-        entry("color/.zarray", b" " * 10**7),
-        r"color/\.zarray unpacks to 10000000 bytes; at most 65536",
-    ),
+    "a bomb of the zip": (entry(CHUNK, bytes(10**7)), "unpacks to 10000000 bytes; at most"),
+    "a bomb of json": (entry("color/.zarray", b" " * 10**7), "unpacks to 10000000.* most 65536"),
     "a bomb of lz4": (bomb_of_lz4, r"cannot be unpacked \(destination buffer too"),
 }
 
@@ -204,22 +185,16 @@ RL = {
         lambda s: entry("data/0", bytes(10**7))(motion_of(s)),
         r"unpacks to 1000\d* bytes, 1536 are expected",
     ),
-    "a list": (tensor([1.0]), r"holds a list, expected a tensor"),
-    "doubles": (tensor(grid().double()), r"expected a tensor of float32"),
-    "another shape": (
-        tensor(grid()[:, :-1]),
-        r"is of shape \(1, 11, 16, 2\), expected \(1, 12, 16, 2\)",
-    ),
+    "a list": (tensor([1.0]), "holds a list, expected a tensor"),
+    "doubles": (tensor(grid().double()), "expected a tensor of float32"),
+    "another shape": (tensor(grid()[:, :-1]), "is of shape .1, 11, 16, 2., expected .1, 12, 16, 2"),
     "an endless view": (
         tensor(torch.zeros(1).expand(1, 10**6, 10**6, 2)),
         r"is of shape \(1, 1000000, 1000000, 2\)",
     ),
-    "motion missing": (
-        drop("motions/0002*"),
-        r"clip 'suntemple', motion: frames 2 to 3 are required and 1 of them are missing: 2;",
-    ),
+    "motion missing": (drop("motions/0002*"), "motion: frames 2 to 3 are required .* missing: 2;"),
     "no reference": (drop("gd0002.png"), r"frame 2 has no reference gd0002\.png, so nothing can"),
-    "a missing frame": (drop("**/*0002*"), r"clip 'suntemple': frames 1 to 3 .* missing: 2;"),
+    "a missing frame": (drop("**/*0002*"), "'suntemple': frames 1 to 3 .* missing: 2;"),
     "another size": (sample(height=H + 1), r"03-0002\.png is 16 x 13 pixels, the first image"),
     "grey": (sample("L"), r"03-0002\.png is a PNG of mode L, expected RGB"),
     "no PNG": (sample(format="JPEG"), r"03-0002\.png cannot be decoded"),

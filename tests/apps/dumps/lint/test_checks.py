@@ -17,16 +17,17 @@ from tests.apps.dumps.lint.broken_fixtures import FAULTS, break_values, correct_
 from tests.cli.runner import rlbench
 
 QUICK = (  # faults of one clip, which always run; each fault alone is slow
-    (
-        "y of motion points up",
-        "albedo is sRGB",
-        "two samples share half of their pixels",
-        "the halves overlap",
-    ),
-    ("depth is the distance to the camera", "half A contains the pool"),
-    ("normals are in camera space",),
-    ("the G-buffer is upside down",),
+    {
+        "motion": "y points up",
+        "albedo": "it is sRGB",
+        "sample independence": "two samples share half of their pixels",
+        "reference halves": "they overlap",
+    },
+    {"depth": "it is the distance to the camera", "independent seeds": "half A contains the pool"},
+    {"normal": "they are in camera space"},
+    {"orientation": "the G-buffer is upside down"},
 )
+EACH = ({check: fault} for check, faults in FAULTS.items() for fault in faults)
 
 
 def failed_checks(folder: Path) -> list[str]:
@@ -45,17 +46,16 @@ def test_other_correct_clips_fail_no_check(tmp_path, seed):
 
 
 @pytest.mark.parametrize(
-    "faults", [*QUICK, *(pytest.param((fault,), marks=pytest.mark.slow) for fault in FAULTS)]
+    "faults", [*QUICK, *(pytest.param(each, marks=pytest.mark.slow) for each in EACH)], ids=str
 )
 def test_faults_fail_their_own_checks_and_no_other(arrays, tmp_path, faults):
-    for fault in faults:
-        arrays = FAULTS[fault][1](arrays)
-    failed = failed_checks(store(arrays, tmp_path / "faulty"))
-    assert sorted(failed) == sorted(FAULTS[fault][0] for fault in faults)
+    for check, fault in faults.items():
+        arrays = FAULTS[check][fault](arrays)
+    assert sorted(failed_checks(store(arrays, tmp_path / "faulty"))) == sorted(faults)
 
 
 def test_a_failed_check_says_how_to_fix_it(arrays):
-    found = check_motion(FAULTS["motion is in NDC"][1](arrays))
+    found = check_motion(FAULTS["motion"]["it is in NDC"](arrays))
     assert found.remedy == "convert it from (x, y) in NDC (-1..1), to the previous frame"
 
 
@@ -82,7 +82,7 @@ def test_the_command_passes_and_writes_a_figure(folder, tmp_path):
 
 
 def test_the_command_fails_where_a_check_does(arrays, tmp_path):
-    store(FAULTS["the halves are equal"][1](arrays), tmp_path / "clips" / "faulty")
+    store(FAULTS["reference halves"]["they are equal"](arrays), tmp_path / "clips" / "faulty")
     assert "both halves are the same image" in rlbench("lint", tmp_path / "clips", code=1)
 
 
