@@ -107,13 +107,11 @@ def test_metrics_of_plugins_and_optional_packages_are_functions_too(pair, tmp_pa
         " lambda c: (c.image - c.reference).abs().mean((1, 2, 3)))\n"
     )
     rlbench.use_plugin(plugin)
-    image, reference = pair
-    assert metrics.l1(image, reference) == pytest.approx(np.abs(image - reference).mean())
-    assert 0 < metrics.flip(image, reference) < 1
+    assert metrics.l1(*pair) == pytest.approx(np.abs(pair[0] - pair[1]).mean())
+    assert 0 < metrics.flip(*pair) < 1
     assert {"psnr", "l1", "flip", "score"} <= set(dir(metrics))
-    assert "dB" in metrics.psnr.__doc__
     with pytest.raises(ValueError, match="l1 needs all pixels, as it sees neighbours"):
-        metrics.l1(image, reference, mask=np.ones((H, W), bool))
+        metrics.l1(*pair, mask=np.ones((H, W), bool))
     with pytest.raises(AttributeError, match="no function 'psnrr'.*Did you mean 'psnr'"):
         metrics.psnrr  # noqa: B018
 

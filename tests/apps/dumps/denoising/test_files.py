@@ -5,22 +5,27 @@ from __future__ import annotations
 import os
 import resource
 import shutil
+import struct
 import subprocess
 from pathlib import Path
 
 import numpy as np
 import OpenEXR
 import pytest
+import tomli_w
 
 import rlbench
-from rlbench.apps.dumps.denoising import UNKNOWN_SPP
+from rlbench.apps.dumps.denoising import UNKNOWN_SPP, exr_copy
 from rlbench.apps.dumps.denoising.files import GapError, find_noisy_sequences
 from rlbench.apps.dumps.denoising.shot import STATE_PERIOD, denoise_sequence
+from rlbench.apps.dumps.importers.layout import ready_layouts
 from rlbench.apps.dumps.lint.clip_arrays import ClipArrays
+from rlbench.clips import exr
+from rlbench.clips.exr_attributes import read_strings
 from rlbench.denoise import DenoiseError
 from rlbench.errors import SourceError
 from tests.apps.dumps.exr_files import read_image, read_parts, read_planes, write_file
-from tests.apps.dumps.importers.dumps import halves, write_blender, write_falcor, write_oidn
+from tests.apps.dumps.importers.dumps import halves, write_blender, write_falcor
 from tests.apps.dumps.lint.broken_fixtures import correct_clip
 
 ROW = "accumulate/tuned"
@@ -38,11 +43,9 @@ def render(arrays, tmp_path_factory) -> Path:
     """A folder of frames as Blender writes them, with one image each."""
     folder = tmp_path_factory.mktemp("dump")
     write_blender(arrays, folder)
-    target = tmp_path_factory.mktemp("rendered") / "render"
-    shutil.copytree(folder / "sample0", target)
-    for path in target.iterdir():
+    for path in (folder / "sample0").iterdir():
         edit(path, {SPP: "4"})
-    return target
+    return shutil.move(folder / "sample0", folder / "render")
 
 
 @pytest.fixture
@@ -65,20 +68,23 @@ def edit(path: Path, attributes=(), channels=(), **header) -> None:
     write_file(path, {"": pixels | dict(channels)}, **{**kept, **dict(attributes), **header})
 
 
-def run(source: Path, out: Path, layout: str = "blender", row: str = ROW, on_frame=None, **options):
+def run(
+    source: Path,
+    out: Path,
+    layout: str = "blender",
+    row: str = ROW,
+    on_frame=lambda: None,
+    **options,
+):
     method = rlbench.load_method(row)
     shots = find_noisy_sequences(source, layout, has_memory=method.traits.temporal, **options)
-    return [
-        denoise_sequence(shot, method, row, out, on_frame=on_frame or (lambda: None))
-        for shot in shots
-    ]
+    return [denoise_sequence(shot, method, row, out, on_frame=on_frame) for shot in shots]
 
 
 def assert_only_replaced(source: Path, target: Path, names: set[str], packing: str = "") -> None:
     """Everything but `names` is bit by bit that of the source, and these are others."""
-    for (header, part), (new_header, new) in zip(
-        read_parts(source), read_parts(target), strict=True
-    ):
+    pairs = zip(read_parts(source), read_parts(target), strict=True)
+    for (header, part), (new_header, new) in pairs:
         if packing:
             header["compression"] = packing
         assert {k: str(v) for k, v in new_header.items()} == {k: str(v) for k, v in header.items()}
@@ -127,27 +133,23 @@ def test_files_of_any_packing_type_and_window_are_kept(copy, tmp_path, header, p
     edit(path, {"owner": "me"}, crypto, **header)
     run(path, tmp_path / "out")
     assert_only_replaced(path, tmp_path / "out" / path.name, COMBINED, packing)
-    before, after = (
-        read_planes(folder / path.name)["ViewLayer.Combined.R"]
-        for folder in (copy, tmp_path / "out")
-    )
+    files = (path, tmp_path / "out" / path.name)
+    before, after = (read_image(file, "ViewLayer.Combined.") for file in files)
     assert (after != before).mean() > 0.9  # outside the image, too
 
 
 def test_half_numbers_and_other_parts_are_kept(arrays, tmp_path):
     color = halves(arrays.pools["path"][0, 0], "RGB")
-    albedo = halves(arrays.gbuffer["albedo"][0], "RGB")
+    albedo = halves(arrays.gbuffer["albedo"][0], "RGB", "alb.")
     normal = halves(arrays.gbuffer["normal"][0], "XYZ")
-    parts = {"beauty": color, "aux": {f"alb.{k}": v for k, v in albedo.items()} | normal}
-    write_file(tmp_path / "in" / "still.exr", parts)
+    write_file(tmp_path / "in" / "still.exr", {"beauty": color, "aux": albedo | normal})
     layout = tmp_path / "own.toml"
     tables = {
-        "radiance": 'part = "beauty"\nflip = "vertical"',
-        "reference": "",
-        "albedo": 'channels = ["alb.R", "alb.G", "alb.B"]\nflip = "vertical"',
-        "normal": 'channels = ["X", "Y", "Z"]\nflip = "vertical"',
+        "radiance": {"part": "beauty", "flip": "vertical"},
+        "albedo": {"channels": list(albedo), "flip": "vertical"},
+        "normal": {"channels": list(normal), "flip": "vertical"},
     }
-    layout.write_text("".join(f'[{k}]\nfiles = "*.exr"\n{v}\n' for k, v in tables.items()))
+    layout.write_text(tomli_w.dumps({k: {"files": "*.exr"} | v for k, v in tables.items()}))
     run(tmp_path / "in" / "still.exr", tmp_path / "out", str(layout), "oidn", spp=1)
     source, target = (tmp_path / folder / "still.exr" for folder in ("in", "out"))
     assert_only_replaced(source, target, {"R", "G", "B"})
@@ -162,11 +164,10 @@ class Killed(BaseException):
 
 def kill_after(frames: int):
     """A callback that kills the command after so many frames."""
-    seen = []
+    remaining = iter(range(frames - 1))
 
     def on_frame():
-        seen.append(None)
-        if len(seen) == frames:
+        if next(remaining, None) is None:
             raise Killed
 
     return on_frame
@@ -244,10 +245,8 @@ def test_a_piece_of_a_shot_begins_with_the_memory_of_frames_before_it(
         assert summary.written == piece[1] - piece[0]
     (shot,) = find_noisy_sequences(render, "blender", frames=piece, warm_up=warm_up)
     assert shot.start == min(warm_up, first - 1)
-    same = [
-        path.read_bytes() == (whole / path.name).read_bytes()
-        for path in sorted((tmp_path / "out").glob("*.exr"))
-    ]
+    files = sorted((tmp_path / "out").glob("*.exr"))
+    same = [path.read_bytes() == (whole / path.name).read_bytes() for path in files]
     assert len(same) == FRAMES
     assert all(same[: first - 1])
     assert all(same) == (warm_up >= first - 1)
@@ -282,8 +281,7 @@ def test_a_folder_of_other_settings_is_refused(render, whole):
 
 def test_missing_motion_is_said_and_static_needs_none(copy, tmp_path):
     layout = tmp_path / "no_motion.toml"
-    text = (Path(rlbench.__file__).parent / "apps/dumps/importers/layouts/blender.toml").read_text()
-    layout.write_text(text.partition("\n[motion]")[0])
+    layout.write_text(ready_layouts()["blender"].read_text().partition("\n[motion]")[0])
     with pytest.raises(SourceError, match="--static"):
         run(copy, tmp_path / "out", str(layout))
     (summary,) = run(copy, tmp_path / "out", str(layout), is_static=True, frames=(1, 3))
@@ -291,12 +289,10 @@ def test_missing_motion_is_said_and_static_needs_none(copy, tmp_path):
     run(copy, tmp_path / "alone", str(layout), row="oidn", needs_motion=False, frames=(1, 3))
 
 
-def test_the_primaries_of_a_file_are_kept(arrays, tmp_path):
+def test_the_primaries_of_a_file_are_kept(tmp_path):
     """Even of colours that Rec. 709 cannot show."""
-    h, w = arrays.half_a.shape[-2:]
-    green = {f"ViewLayer.Combined.{c}": np.full((h, w), c == "G", np.float32) for c in "RGB"}
-    write_file(tmp_path / "in" / "still.exr", {"": green})
-    edit(tmp_path / "in" / "still.exr", {"colorInteropID": "lin_rec2020_scene"})
+    green = {f"ViewLayer.Combined.{c}": np.full((72, 96), c == "G", np.float32) for c in "RGB"}
+    write_file(tmp_path / "in" / "still.exr", {"": green}, colorInteropID="lin_rec2020_scene")
     (shot,) = find_noisy_sequences(tmp_path / "in" / "still.exr", "blender", spp=4)
     assert any("chromaticities are kept: red 0.708" in note for note in shot.notes)
     run(tmp_path / "in" / "still.exr", tmp_path / "out", row="oidn", spp=4)
@@ -334,10 +330,8 @@ def test_a_layout_whose_radiance_is_in_parts_is_refused(render, tmp_path, layout
 
 
 def test_samples_are_counted_by_name_option_or_not_at_all(arrays, copy, tmp_path):
-    write_oidn(arrays, tmp_path / "all")
-    for path in (tmp_path / "all").glob("*_0000_seed9_0256spp.hdr.exr"):
-        (tmp_path / "mean").mkdir()
-        shutil.copy(path, tmp_path / "mean" / "room_0000_0256spp.hdr.exr")
+    mean = halves(arrays.half_a[0], "RGB")
+    write_file(tmp_path / "mean" / "room_0000_0256spp.hdr.exr", {"": mean})
     (shot,) = find_noisy_sequences(tmp_path / "mean", "oidn")
     assert shot.read_spp(0) == 256
     (shot,) = find_noisy_sequences(copy, "blender", spp=12)
@@ -382,3 +376,50 @@ def test_an_animation_by_blender_is_denoised(tmp_path):
         for folder in ("dump/referenceA", "dump/geometry", "out")
     )
     assert np.abs(image - truth).mean() < 0.5 * np.abs(noisy - truth).mean()
+
+
+# Attributes that the library cannot read or write stay in a copy of a file
+
+
+VALUES = {  # by type, of which some have no value that the library takes
+    "Latin-1": ("string", "J\u00f6rg".encode("latin-1")),
+    "no text": ("string", b"\xff" * 24),
+    "words": ("stringvector", struct.pack("<i", 2) + b"\xff\xfe"),
+    "an empty list": ("floatvector", b""),
+    "no words": ("stringvector", b""),
+    "deep": ("deepImageState", b"\1"),
+    "a key code": ("keycode", b"\0" * 28),
+    "a manifest": ("idmanifest", b"\0" * 8),
+    "an unknown type": ("own", b"\1\2"),
+}
+
+
+def write_with(path: Path, kind: str, value: bytes) -> Path:
+    """A file of one channel with the attribute zzz, the last of its header."""
+    header = {"compression": OpenEXR.NO_COMPRESSION, "type": OpenEXR.scanlineimage, "owner": "me"}
+    plane = np.arange(48, dtype=np.float32).reshape(6, 8)
+    OpenEXR.File({**header, "zzz": "x"}, {"R": plane, "Z": plane}).write(str(path))
+    before = b"zzz\0string\0" + struct.pack("<i", 1) + b"x"
+    after = b"zzz\0" + kind.encode() + b"\0" + struct.pack("<i", len(value)) + value
+    head, _, tail = path.read_bytes().partition(before)
+    shift, table = len(after) - len(before), struct.unpack("<6Q", tail[1:49])
+    moved = struct.pack("<6Q", *(offset + shift for offset in table))
+    path.write_bytes(head + after + tail[:1] + moved + tail[49:])
+    return path
+
+
+@pytest.mark.parametrize("case", VALUES)
+def test_an_attribute_stays_and_pixels_change(tmp_path, case):
+    kind, value = VALUES[case]
+    source = write_with(tmp_path / "in.exr", kind, value)
+    (header,) = exr.read_exr_parts(source)
+    (plane,) = exr.read_planes(source, header, ["R"])
+    exr_copy.replace_channels(
+        source, tmp_path / "out.exr", exr_copy.NewPixels(header, {"R": plane + 1})
+    )
+    changed, same = exr.read_planes(tmp_path / "out.exr", header, ["R", "Z"])
+    np.testing.assert_array_equal(changed, plane + 1)
+    np.testing.assert_array_equal(same, plane)
+    after = b"zzz\0" + kind.encode() + b"\0" + struct.pack("<i", len(value)) + value
+    assert after in (tmp_path / "out.exr").read_bytes()
+    assert ("owner", "me") in read_strings(tmp_path / "out.exr")

@@ -133,16 +133,6 @@ def mitsuba(buffers: Buffers) -> Planes:
     }
 
 
-def arnold(buffers: Buffers) -> Planes:
-    return {
-        **halves(buffers["albedo"], "RGB", "diffuse_albedo."),
-        **halves(buffers["normal"], "XYZ", "N."),
-        **floats(background(buffers, 1e30), "Z"),
-        **floats(scaled(buffers["motion"], -1, 1), "RG", "motionvector."),
-        **alpha(buffers, "A"),
-    }
-
-
 def renderman(buffers: Buffers) -> Planes:
     velocity = torch.cat([24 * buffers["motion"], buffers["motion"][:1]])
     return {
@@ -154,24 +144,12 @@ def renderman(buffers: Buffers) -> Planes:
     }
 
 
-def karma(buffers: Buffers) -> Planes:
-    h, w = buffers["depth"].shape[-2:]
-    return {
-        **halves(buffers["albedo"], "rgb", "albedo."),
-        **halves(buffers["normal"], "xyz", "N."),
-        **floats(background(buffers, 1e10), ["depth"]),
-        **floats(scaled(buffers["motion"], 2 / w, -2 / h), "xy", "motionvectors."),
-    }
-
-
 LAYERED: dict[str, tuple[str, str, Callable[[Buffers], Planes]]] = {
     # names of files, the layer of the beauty and its channels, and the other layers
     "unreal": ("{kind}/Shot.{frame:04d}.exr", "RGB", unreal),
     "blender": ("{kind}/atrium{frame:04d}.exr", "ViewLayer.Combined.RGB", blender),
     "mitsuba": ("{kind}/{frame:03d}.exr", "RGB", mitsuba),
-    "arnold": ("{kind}/shot_v012.{frame:04d}.exr", "RGB", arnold),
     "renderman": ("sh010/{kind}_{frame:04d}.exr", "Ci.rgb", renderman),
-    "karma": ("{kind}.{frame}.exr", "C.rgb", karma),
 }
 
 

@@ -198,6 +198,13 @@ def display(frame: int, slot: int) -> np.ndarray:
     return np.stack([value, 255 - value, value // 2], -1).clip(0, 255).astype(np.uint8)
 
 
+def display_bytes(light: np.ndarray) -> np.ndarray:
+    """Bytes of a PNG from linear light (sRGB, IEC 61966-2-1), clipped and rounded."""
+    light = light.clip(0, 1)
+    curve = np.where(light <= 0.0031308, 12.92 * light, 1.055 * light ** (1 / 2.4) - 0.055)
+    return np.rint(255 * curve).astype(np.uint8)
+
+
 def grid() -> torch.Tensor:
     """Previous positions of the pixels for grid_sample, as the authors' script writes them."""
     x = (DRIFT[0] * 2 + COLUMNS * 2 - W + 1) / W

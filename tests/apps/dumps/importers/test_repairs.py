@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from math import inf, nan
 from pathlib import Path
 
 import numpy as np
@@ -93,9 +94,7 @@ def break_buffer(folder: Path, name: str, value: float, channels: str) -> None:
     write(folder, "aov.1002.exr", planes)
 
 
-@pytest.mark.parametrize(
-    ("place", "value"), [("s0", np.nan), ("s1", np.inf), ("rA", -np.inf), ("rB", np.nan)]
-)
+@pytest.mark.parametrize(("place", "value"), [("s0", nan), ("s1", inf), ("rA", -inf), ("rB", nan)])
 def test_radiance_that_is_not_finite_names_file_frame_and_remedy(folder, place, value):
     image = rgb(0.5)
     image["G"][3, 5] = value
@@ -122,7 +121,7 @@ def test_radiance_that_is_not_finite_names_file_frame_and_remedy(folder, place, 
 def test_emission_that_is_not_finite_is_named(folder):
     change_layout(folder, "[radiance]", '[emission]\nfiles = "e.{frame}.exr"\n[radiance]')
     for frame in FRAMES:
-        write(folder, f"e.{frame}.exr", rgb(np.nan if frame == 1003 else 0))
+        write(folder, f"e.{frame}.exr", rgb(nan if frame == 1003 else 0))
     assert "dump/e.1003.exr: " in import_dump(folder, code=2).replace("dump/ ", "dump/")
 
 
@@ -139,7 +138,7 @@ def test_a_firefly_survives_sanitizing_and_negative_radiance_does_not(folder):
 
 @pytest.mark.parametrize(
     ("encoded", "channels", "value"),
-    [("false", "X", np.nan), ("true", "YZ", np.inf), ("false", "XYZ", -np.inf)],
+    [("false", "X", nan), ("true", "YZ", inf), ("false", "XYZ", -inf)],
 )
 def test_normals_that_are_not_finite_are_counted(folder, encoded, channels, value):
     change_layout(folder, "[depth]", f"encoded = {encoded}\n[depth]")
@@ -152,12 +151,7 @@ def test_normals_that_are_not_finite_are_counted(folder, encoded, channels, valu
 
 @pytest.mark.parametrize(
     ("name", "channels", "value"),
-    [
-        ("normal", "Y", np.nan),
-        ("albedo", "RGB", np.inf),
-        ("motion", "X", -np.inf),
-        ("depth", "Z", np.nan),
-    ],
+    [("normal", "Y", nan), ("albedo", "RGB", inf), ("motion", "X", -inf), ("depth", "Z", nan)],
 )
 def test_sanitized_buffers_take_the_value_of_a_neighbour(folder, name, channels, value):
     break_buffer(folder, name, value, channels)
@@ -170,9 +164,9 @@ def test_sanitized_buffers_take_the_value_of_a_neighbour(folder, name, channels,
 
 def test_what_a_sky_has_in_place_of_a_normal_is_no_damage(folder):
     planes = aovs()
-    planes["depth.Z"][:5] = np.inf
+    planes["depth.Z"][:5] = inf
     for letter in "XYZ":
-        planes[f"normal.{letter}"][:5] = np.nan
+        planes[f"normal.{letter}"][:5] = nan
     write(folder, "aov.1002.exr", planes)
     assert "pixels of normal" not in import_dump(folder, "--sanitize")
     assert (frame_of(folder, 1).gbuffer.normal[0, :, :5] == 0).all()
@@ -207,7 +201,7 @@ def test_a_crop_is_empty_outside_and_counted(folder):
     assert f"6 images do not fill their display window: {count} pixels are empty" in output
     assert "first in frame 1002" in output
     frame, complete = frame_of(folder, 1), frame_of(folder, 0)
-    for name, value in {"albedo": 0, "normal": 0, "depth": np.inf, "motion": 0}.items():
+    for name, value in {"albedo": 0, "normal": 0, "depth": inf, "motion": 0}.items():
         found = getattr(frame.gbuffer, name)[0].numpy()
         assert (found[:, outside] == value).all()
         expected = getattr(complete.gbuffer, name)[0].numpy()
@@ -234,7 +228,7 @@ def test_what_is_outside_a_crop_is_empty_in_any_convention(folder, table, keys):
     gbuffer = frame_of(folder, 2).gbuffer
     assert (pixel(gbuffer.motion, -1, 0) == 0).all()
     assert (pixel(gbuffer.normal, -1, 0) == 0).all()
-    assert pixel(gbuffer.depth, -1, 0) == np.inf
+    assert pixel(gbuffer.depth, -1, 0) == inf
 
 
 def test_overscan_is_cut_and_counted(folder):

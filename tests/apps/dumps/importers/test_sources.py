@@ -17,6 +17,7 @@ from tests.apps.dumps.importers.sources import (
     H,
     W,
     display,
+    display_bytes,
     grid,
     imported,
     noisebase_arrays,
@@ -93,12 +94,6 @@ RADIANCE = {  # samples and reference of frame 1
     NOISEBASE: (decoded_rgbe(), constant(*[1 / 3 + 1] * 3)),
     RL: (np.stack([display(2, slot) for slot in range(8)]), display(2, 3)),
 }
-
-
-def display_bytes(light: np.ndarray) -> np.ndarray:
-    """Bytes of a PNG from linear light (sRGB, IEC 61966-2-1)."""
-    curve = np.where(light <= 0.0031308, 12.92 * light, 1.055 * light ** (1 / 2.4) - 0.055)
-    return np.rint(255 * curve).astype(np.uint8)
 
 
 @pytest.mark.parametrize(("clip", "format_"), [(f, f) for f in WRITERS], indirect=["clip"])

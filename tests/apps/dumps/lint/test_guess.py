@@ -74,17 +74,12 @@ def test_the_written_file_says_what_is_sure_and_imports_what_was_dumped(own, sma
 
 SLOW = pytest.mark.slow
 RENDERERS = {  # what one writes beside the images that are read, and the buffers that it lacks
-    "arnold": (["A"], set()),
     "renderman": (["a", "dPcameradtime.x"], {"motion"}),
-    "karma": ([], set()),
     "unreal": ([], set()),
 }
 
 
-@pytest.mark.parametrize(
-    "name",
-    ["renderman", "unreal", *(pytest.param(name, marks=SLOW) for name in ("arnold", "karma"))],
-)
+@pytest.mark.parametrize("name", RENDERERS)
 def test_a_guess_for_a_renderer_imports_without_an_edit(name, small, tmp_path):
     write_layered(name, small, tmp_path / "dump")
     _, layout, found = read_back(tmp_path / "dump")

@@ -1,20 +1,142 @@
-"""The commands export and score: from a clip to another program's row among those of a run."""
+"""Commands of dumps, and render: what they hand over, and what they refuse."""
 
 from __future__ import annotations
 
 import json
 import re
 import shutil
+from pathlib import Path
 
 import numpy as np
 import pytest
 from PIL import Image
 
 from rlbench import metrics
+from rlbench.apps.render.jobs import render_clips
 from rlbench.benchmark import results as table
-from tests.apps.dumps.exr_files import write_image
+from rlbench.clips.stored import open_clip
+from rlbench.denoise import DEFAULT_METHOD
+from rlbench.training import dataset
+from tests.apps.dumps.exr_files import read_planes, write_image
+from tests.apps.dumps.importers.dumps import write_blender
+from tests.apps.dumps.lint.broken_fixtures import correct_clip
 from tests.cli.runner import rlbench
 from tests.conftest import write_noise
+
+
+@pytest.fixture
+def ensured(monkeypatch):
+    """The presets, scenes and seeds whose clips would be rendered."""
+    calls = []
+    monkeypatch.setattr(
+        render_clips, "ensure", lambda *requested: calls.append(requested[:3]) or []
+    )
+    return calls
+
+
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [
+        (("--scenes", "cellar"), "error: no scene 'cellar'; available: bathroom, bathroom2, city"),
+        (("--scenes", "city-crane"), "has no take 'crane'; available takes: static, cut"),
+        (("--seeds", "48:0"), "Invalid value for '--seeds': '48:0' is no list of seeds"),
+        (("--buffers", "taste"), "error: "),
+        (("--engine", "local=auto"), "error: --engine local=auto: local has no address"),
+    ],
+)
+def test_wrong_use_of_render_is_one_message(words, message):
+    assert message in rlbench("render", *words, code=2)
+
+
+def test_render_and_training_request_the_clips_of_the_seeds(ensured):
+    rlbench("render", "--preset", "train", "--seeds", "0:48")
+    dataset.split_generated("train", (30, 31))
+    dataset.split_generated("mini", (30, 31))  # generated scenes, as large as those of mini
+    assert [(preset.name, scenes, seeds) for preset, scenes, seeds in ensured] == [
+        ("train", None, tuple(range(48))),
+        ("train", None, (30, 31)),
+        ("mini", None, (30, 31)),
+    ]
+
+
+def test_options_of_render_change_the_preset(ensured):
+    rlbench("render", "--radiance-cap", 64, "--buffers", "object,normal_psr", "--takes", "all")
+    ((preset, _, _),) = ensured
+    assert preset.radiance_cap == 64
+    assert {"object", "normal_psr"} <= set(preset.extra_buffers)
+    assert preset.takes == "all"
+
+
+@pytest.mark.parametrize(("requested", "takes"), [(None, "all"), ("main", "main")])
+def test_the_takes_of_a_preset_can_be_chosen(ensured, requested, takes):
+    render_clips.render_preset_clips(None, "standard", takes=requested)
+    assert [(preset.name, preset.takes) for preset, _, _ in ensured] == [("standard", takes)]
+
+
+def test_render_can_print_hashes_and_measure_the_time_of_a_sample(clip_folder, monkeypatch):
+    monkeypatch.setattr(render_clips, "ensure", lambda *_, **__: [Path(clip_folder)])
+    clip = open_clip(clip_folder)
+    assert rlbench("render", "--digests").strip() == f"{clip.name} {clip.digest[:12]}"
+    output = rlbench("render", "--remeasure-sample-time", code=2)
+    assert "was rendered on 'another machine'" in output  # by the function that measures
+
+
+def test_lint_of_a_folder_without_clips_is_wrong_use(tmp_path):
+    assert "error: no clip in" in rlbench("lint", tmp_path, code=2)
+    assert "Invalid value for 'CLIPS" in rlbench("lint", tmp_path / "nowhere", code=2)
+
+
+@pytest.fixture(scope="module")
+def render(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("dump")
+    write_blender(correct_clip(frames=2, half=16), folder)
+    return shutil.copytree(folder / "sample0", folder / "render")
+
+
+def test_a_shot_is_denoised_once(render, tmp_path):
+    words = ("denoise", render, "--spp", 64, "--out", tmp_path)
+    first = rlbench(*words, "-m", "accumulate/tuned")
+    assert "2 frames denoised" in first
+    assert "same number in every pixel" in first
+    assert "accumulate/intel" in first  # more samples than it was trained on
+    assert "0 frames denoised by accumulate/tuned, 2" in rlbench(*words, "-m", "accumulate/tuned")
+    assert len(list(tmp_path.glob("*.exr"))) == 2
+
+
+def test_the_default_row_was_trained_at_any_number_of_samples(render, tmp_path):
+    output = rlbench("denoise", render, "--spp", 64, "--out", tmp_path)
+    assert f"2 frames denoised by {DEFAULT_METHOD}" in output
+    assert "trained up to" not in output
+
+
+def test_openvino_denoises_as_pytorch_does_and_frames_say_who_did(render, tmp_path):
+    words = ("denoise", render, "-m", "oidn", "--spp", 1)
+    rlbench(*words, "-o", tmp_path / "eager")
+    output = rlbench(*words, "-o", tmp_path / "compiled", "--backend", "openvino")
+    assert "2 frames denoised by oidn on openvino" in output
+    files = [sorted((tmp_path / name).glob("*.exr")) for name in ("eager", "compiled")]
+    for expected, found in zip(*files, strict=True):
+        for name, plane in read_planes(expected).items():  # halves in the files
+            np.testing.assert_allclose(read_planes(found)[name], plane, rtol=2e-3, atol=1e-4)
+
+
+@pytest.mark.parametrize(
+    ("words", "noun"),
+    [
+        (("-m", "restir"), "accumulate"),
+        (("-m", "oidm"), "oidn"),
+        (("--albedo", "none.exr"), "none.exr"),
+        (("--layout", "falcor"), "falcor"),
+        (("--spp", "0.5"), "spp"),
+        (("--frames", "7"), "FIRST:END"),
+    ],
+)
+def test_what_cannot_be_done_is_said(render, tmp_path, words, noun):
+    assert noun in rlbench("denoise", render, *words, "-o", tmp_path, code=2)
+
+
+# Export and score: from a clip to another program's row among those of a run
+
 
 COSTS = ("--sample-ms", 4.2, "--frame-ms", 60_000)
 

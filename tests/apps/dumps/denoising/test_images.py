@@ -1,4 +1,4 @@
-"""Parts of the light add up to the denoised image, whatever they are called."""
+"""Loose images and their buffers in other files, and parts of the light, whatever their names."""
 
 from __future__ import annotations
 
@@ -9,20 +9,118 @@ import pytest
 import torch
 
 import rlbench
-from rlbench.apps.dumps.denoising.files import find_noisy_sequences
+from rlbench.apps.dumps.denoising.files import GapError, find_noisy_sequences
 from rlbench.apps.dumps.denoising.passes import Part, denoise_parts, find_passes
 from rlbench.apps.dumps.denoising.shot import denoise_sequence
 from rlbench.denoise import DenoiseError, NoisyFrame, denoise_frame
 from rlbench.errors import SourceError
 from rlbench.frames import GBuffer
-from tests.apps.dumps.exr_files import read_image, read_parts, write_file
+from tests.apps.dumps.exr_files import read_image, read_parts, write_file, write_image
 
 H, W = 40, 56
+RNG = np.random.default_rng(4)
+COLOR = RNG.random((H, W, 3)).astype(np.float32) ** 3
+ALBEDO = RNG.random((H, W, 3)).astype(np.float32)
+NORMAL = RNG.normal(size=(H, W, 3)).astype(np.float32)
+NORMAL /= np.linalg.norm(NORMAL, axis=-1, keepdims=True)
+
+
+def run(source: Path, out: Path, row: str = "oidn", **options) -> int:
+    method = rlbench.load_method(row)
+    has_memory, needs_motion = method.traits.temporal, "motion" in method.traits.inputs
+    (shot,) = find_noisy_sequences(
+        source, has_memory=has_memory, needs_motion=needs_motion, **options
+    )
+    return denoise_sequence(shot, method, row, out, exposure=1.0).written
+
+
+@pytest.fixture
+def folder(tmp_path) -> Path:
+    write_image(tmp_path / "color.exr", COLOR)
+    write_image(tmp_path / "albedo.exr", ALBEDO)
+    write_image(tmp_path / "normal.exr", NORMAL, "XYZ")
+    write_image(tmp_path / "encoded.exr", (NORMAL + 1) / 2)
+    layers = {f"albedo.{c}": ALBEDO[..., k] for k, c in enumerate("RGB")}
+    layers |= {f"N.{c}": NORMAL[..., k] for k, c in enumerate("XYZ")}
+    write_file(tmp_path / "aovs.exr", {"": layers})
+    return tmp_path
+
+
+def tensor(image: np.ndarray) -> torch.Tensor:
+    return torch.from_numpy(image).movedim(-1, 0)[None]
+
+
+@pytest.mark.parametrize("normal", ["normal.exr", "encoded.exr", "aovs.exr:N"])
+@pytest.mark.parametrize("albedo", ["albedo.exr", "aovs.exr:albedo"])
+def test_one_image_and_its_buffers_in_other_files(folder, albedo, normal):
+    others = {"albedo": str(folder / albedo), "normal": str(folder / normal)}
+    assert run(folder / "color.exr", folder / "out", others=others) == 1
+    buffers = {"albedo": tensor(ALBEDO), "normal": tensor(NORMAL)}
+    frame = NoisyFrame(GBuffer(buffers, static=True), tensor(COLOR), 8)
+    image = denoise_frame(rlbench.load_method("oidn"), frame, None, 1.0).image
+    expected = image[0].movedim(0, -1).numpy()
+    np.testing.assert_allclose(read_image(folder / "out" / "color.exr"), expected, atol=1e-5)
+    run(folder / "color.exr", folder / "alone")
+    assert np.abs(read_image(folder / "alone" / "color.exr") - expected).max() > 0.01
+
+
+@pytest.mark.parametrize("pattern", ["color.####.exr", "color.%04d.exr", "color.{frame}.exr"])
+def test_a_pattern_of_names_is_a_sequence_with_gaps(tmp_path, pattern):
+    for number in (1, 11, 12):
+        write_image(tmp_path / f"color.{number:04d}.exr", COLOR)
+        write_image(tmp_path / f"albedo.{number:04d}.exr", ALBEDO)
+    write_image(tmp_path / "unrelated.exr", ALBEDO)
+    others = {"albedo": str(tmp_path / "albedo.####.exr")}
+    assert run(tmp_path / pattern, tmp_path / "out", others=others) == 3
+    names = [f"color.{number:04d}.exr" for number in (1, 11, 12)]
+    assert sorted(path.name for path in (tmp_path / "out").glob("*.exr")) == names
+    with pytest.raises(GapError, match="-m oidn"):
+        run(tmp_path / pattern, tmp_path / "other", "accumulate/tuned", is_static=True)
+
+
+def test_a_folder_of_one_image_a_frame_needs_no_layout(tmp_path):
+    for number in (1, 2):
+        write_image(tmp_path / f"{number:04d}.exr", COLOR)
+    assert run(tmp_path, tmp_path / "out") == 2
+
+
+@pytest.mark.parametrize(
+    ("source", "others", "message"),
+    [
+        ("colour.exr", {}, "no file .*colour.exr"),
+        ("color.exr", {"albedo": "albedo.###.exr"}, "no file"),
+        ("color.exr", {"albedo": "color.exr:diffuse"}, "diffuse"),
+        ("color.exr", {"normal": "."}, "are one frame"),
+    ],
+)
+def test_what_cannot_be_matched_is_named(folder, source, others, message):
+    others = {name: str(folder / each) for name, each in others.items()}
+    with pytest.raises(SourceError, match=message):
+        find_noisy_sequences(folder / source, others=others, needs_motion=False, has_memory=False)
+
+
+def test_overscan_is_denoised(tmp_path):
+    """Pixels outside the display window: as if the window were that of all pixels."""
+    inside = ((4, 2), (W - 5, H - 3))
+    corners = ((0, 0), (W - 1, H - 1))
+    denoised = []
+    for name, display in (("all", corners), ("overscan", inside)):
+        path = tmp_path / name / "a.exr"
+        write_image(path, COLOR, dataWindow=corners, displayWindow=display)
+        run(path, path.parent / "out")
+        denoised.append(read_image(path.parent / "out" / "a.exr"))
+    np.testing.assert_array_equal(*denoised)
+    assert (denoised[0] != COLOR).any(-1).mean() > 0.99
+
+
+# Parts of the light
+
+
 HALF_STEP = 2.0**-11  # relative error of one half number
 
 
-def make_light(seed: int, shape=(1, 3, H, W)) -> torch.Tensor:
-    light = torch.rand(shape, generator=torch.Generator().manual_seed(seed)) ** 4
+def make_light(seed: int) -> torch.Tensor:
+    light = torch.rand((1, 3, H, W), generator=torch.Generator().manual_seed(seed)) ** 4
     light[..., :8, :8] = 0
     return light
 
@@ -49,7 +147,6 @@ COLOUR = make_light(3).clamp_max(1)
         ({"key": Part(make_light(1), ONE)}, 0.5),
         ({"black": Part(torch.zeros(1, 3, H, W), ONE), "key": Part(make_light(1), ONE)}, 0),
     ],
-    ids=["light groups", "divided by colour", "some light in no part", "a black part"],
 )
 def test_parts_add_up_to_the_denoised_image(method, parts, rest):
     mean = sum(part.radiance for part in parts.values()) + rest
@@ -109,13 +206,10 @@ def denoise(method, folder: Path, passes: list[str]):
 
 @pytest.mark.parametrize("dtype", [np.float16, np.float32])
 def test_files_of_blender_add_up_within_half_rounding(method, tmp_path, dtype):
-    def make(seed):
-        return make_light(seed)[0].movedim(0, -1).double().numpy()
-
-    passes = {"DiffDir": make(1), "DiffCol": make(2), "GlossInd": make(3), "GlossCol": make(4)}
-    write(tmp_path / "a.exr", dtype, {**passes, "Emit": make(5)})
-    names = ["DiffDir", "GlossInd*GlossCol", "emit"]
-    _, written = denoise(method, tmp_path, names)
+    names = ("DiffDir", "DiffCol", "GlossInd", "GlossCol", "Emit")
+    light = [make_light(seed)[0].movedim(0, -1).double().numpy() for seed in range(5)]
+    write(tmp_path / "a.exr", dtype, dict(zip(names, light, strict=True)))
+    _, written = denoise(method, tmp_path, ["DiffDir", "GlossInd*GlossCol", "emit"])
     image = read(written, "Combined")
     assert not np.array_equal(image, read(tmp_path / "a.exr", "Combined"))
     total = read(written, "DiffDir") * read(written, "DiffCol")
