@@ -52,36 +52,24 @@ def ray_length(h: int, w: int) -> torch.Tensor:
     return ((step * (x + 0.5 - w / 2)) ** 2 + (step * (y + 0.5 - h / 2)) ** 2 + 1).sqrt()
 
 
-def write_radiance(arrays: ClipArrays, folder: Path, samples: str, references: str) -> None:
-    """Samples and both halves in files of their own, whose names have these placeholders."""
-    for t in range(len(arrays)):
-        for s in range(SAMPLES):
-            path = folder / samples.format(frame=t, sample=s)
-            write_file(path, {"": floats(arrays.pools["path"][t, s], "RGB")})
-        for half, image in enumerate((arrays.half_a, arrays.half_b)):
-            path = folder / references.format(frame=t, half="AB"[half], seed=SAMPLES + half)
-            write_file(path, {"": floats(image[t], "RGB")})
-
-
 def write_falcor(arrays: ClipArrays, folder: Path) -> None:
-    write_radiance(
-        arrays,
-        folder,
-        "sample{sample}/Mogwai.PathTracer.color.{frame}.exr",
-        "reference{half}/Mogwai.AccumulatePass.output.{frame}.exr",
-    )
     h, w = arrays.half_a.shape[-2:]
     for t in range(len(arrays)):
         buffers = {name: image[t] for name, image in arrays.gbuffer.items()}
         depth = buffers["depth"].nan_to_num(posinf=0.0)
         images = {
-            "diffuseOpacity": halves(buffers["albedo"], "RGB"),
-            "normW": halves(buffers["normal"], "RGB"),
-            "linearZ": floats(torch.cat((depth, depth)), "RG"),
-            "mvec": floats(scaled(buffers["motion"], 1 / w, 1 / h), "RG"),
+            "sample0/Mogwai.GBufferRT.diffuseOpacity": halves(buffers["albedo"], "RGB"),
+            "sample0/Mogwai.GBufferRT.normW": halves(buffers["normal"], "RGB"),
+            "sample0/Mogwai.GBufferRT.linearZ": floats(torch.cat((depth, depth)), "RG"),
+            "sample0/Mogwai.GBufferRT.mvec": floats(scaled(buffers["motion"], 1 / w, 1 / h), "RG"),
+            "referenceA/Mogwai.AccumulatePass.output": floats(arrays.half_a[t], "RGB"),
+            "referenceB/Mogwai.AccumulatePass.output": floats(arrays.half_b[t], "RGB"),
         }
+        for s in range(SAMPLES):
+            sample = floats(arrays.pools["path"][t, s], "RGB")
+            images[f"sample{s}/Mogwai.PathTracer.color"] = sample
         for name, channels in images.items():
-            write_file(folder / "sample0" / f"Mogwai.GBufferRT.{name}.{t}.exr", {"": channels})
+            write_file(folder / f"{name}.{t}.exr", {"": channels})
 
 
 # One file a frame, with all layers; samples and references in folders
@@ -193,20 +181,9 @@ def write_nrd_sample(arrays: ClipArrays, folder: Path) -> None:
             write_file(folder / f"{name}.{t}.exr", {"": channels})
 
 
-def write_oidn(arrays: ClipArrays, folder: Path) -> None:
-    name = "room_{frame:04d}_seed{sample}_0001spp"
-    write_radiance(arrays, folder, f"{name}.hdr.exr", "room_{frame:04d}_seed{seed}_0256spp.hdr.exr")
-    for t in range(len(arrays)):
-        for s in range(SAMPLES):
-            for buffer, suffix in (("albedo", "alb"), ("normal", "nrm")):
-                path = folder / f"{name}.{suffix}.exr".format(frame=t, sample=s)
-                write_file(path, {"": halves(arrays.gbuffer[buffer][t], "RGB")})
-
-
 WRITERS: dict[str, Callable[[ClipArrays, Path], None]] = {
     "falcor": write_falcor,
     "nrd-sample": write_nrd_sample,
-    "oidn": write_oidn,
     **{name: partial(write_layered, name) for name in ("unreal", "blender", "mitsuba")},
 }
 

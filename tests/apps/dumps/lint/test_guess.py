@@ -117,7 +117,7 @@ def test_images_that_count_spp_are_samples_or_their_means_as_their_noise_shows(
 
 
 @pytest.mark.parametrize(
-    "name", ["nrd-sample", *(pytest.param(n, marks=SLOW) for n in ("falcor", "unreal", "oidn"))]
+    "name", ["nrd-sample", *(pytest.param(n, marks=SLOW) for n in ("falcor", "unreal"))]
 )
 def test_the_dump_of_a_known_engine_is_recognised(small, tmp_path, name):
     WRITERS[name](small, tmp_path / "dump")
