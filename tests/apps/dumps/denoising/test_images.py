@@ -101,8 +101,8 @@ def test_what_cannot_be_matched_is_named(folder, source, others, message):
 
 def test_overscan_is_denoised(tmp_path):
     """Pixels outside the display window: as if the window were that of all pixels."""
-    inside = ((4, 2), (W - 5, H - 3))
-    corners = ((0, 0), (W - 1, H - 1))
+    inside = ((0, 0), (W - 9, H - 5))
+    corners = ((-4, -2), (W - 5, H - 3))
     denoised = []
     for name, display in (("all", corners), ("overscan", inside)):
         path = tmp_path / name / "a.exr"
