@@ -1,21 +1,19 @@
 """Whatever a record on disk holds: the right content, or one error that a user can act on.
 
 Records are model cards, weights, baselines and row files, and the other files that a stranger may
-send: clips, images, layouts, cost profiles, ledgers, pins, queues. Each property runs on 200
-changed records, and on 2,000 in `make test-all`.
+send: clips, images, archives, layouts, cost profiles, ledgers, pins, queues.
 """
 
 from __future__ import annotations
 
-import datetime
 import hashlib
 import json
 import math
 import tempfile
 from collections.abc import Callable
 from dataclasses import asdict, replace
+from functools import cache
 from pathlib import Path
-from typing import Any
 
 import msgspec
 import numpy as np
@@ -24,101 +22,38 @@ import pytest
 import safetensors.torch
 import tomli_w
 import torch
-from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from torch import nn
 
 from rlbench.apps.dumps.importers.layout import read_layout, ready_layouts
+from rlbench.apps.dumps.importers.zarr_v2 import open_archive, read_array
 from rlbench.apps.render.scenes.collection.pins import Pin, PinnedFile, format_pin, read_pin
 from rlbench.benchmark import looks, results
 from rlbench.benchmark.cell_key import CellId, CellKey
 from rlbench.benchmark.cost_profile import PROFILES, read_profile
 from rlbench.benchmark.regression.baseline import SCHEMA, load_baseline
 from rlbench.benchmark.results import Row
+from rlbench.clips.exr import read_exr, write_exr
 from rlbench.clips.header import FILE, read_header
 from rlbench.clips.linear_images import read_linear
 from rlbench.clips.pfm import write_pfm
 from rlbench.errors import RlbenchError
 from rlbench.training.queue import read_queue
 from rlbench.weights import ModelCard, card_path, load_into, read_card, save, training_clips
-from tests.conftest import write_noise
-
-QUICK, THOROUGH = 200, 2000  # changed records of each kind
-
-
-def fuzz(count: int, strategy: st.SearchStrategy[Any], property_: Callable[[Any], None]) -> None:
-    """Check a property on so many examples; none may take longer than two seconds."""
-    checks = [HealthCheck.too_slow, HealthCheck.data_too_large, HealthCheck.function_scoped_fixture]
-    limits = settings(
-        max_examples=count,
-        deadline=2000,
-        derandomize=count < THOROUGH,
-        suppress_health_check=checks,
-    )
-    limits(given(strategy)(property_))()
-
-
-def examples(property_: Callable[[Any], None], strategy: st.SearchStrategy[Any]) -> Any:
-    """A test of a property on many examples, and one on ten times as many for `make test-all`."""
-
-    def check(count: int) -> None:
-        fuzz(count, strategy, property_)
-
-    counts = [QUICK, pytest.param(THOROUGH, marks=pytest.mark.slow)]
-    return pytest.mark.parametrize("count", counts)(check)
-
-
-def result_or_error(function: Callable[..., Any], *arguments: object) -> Any:
-    """What a function returns, or its RlbenchError; any other exception fails the test."""
-    try:
-        return function(*arguments)
-    except RlbenchError as error:
-        return error
-
-
-# Changed bytes and changed documents
-
-
-@st.composite
-def draw_change(draw: st.DrawFn, content: bytes) -> bytes:
-    """A content with flipped bits, replaced, inserted, removed or repeated parts, or cut short."""
-    for _ in range(draw(st.integers(1, 3))):
-        start = draw(st.integers(0, max(len(content) - 1, 0)))
-        end = min(start + draw(st.sampled_from([0, 1, 2, 8, 64])), len(content))
-        new = {
-            "flip": bytes([content[start] ^ 1 << draw(st.integers(0, 7))]) if content else b"",
-            "replace": draw(st.binary(max_size=16)),
-            "repeat": content[start:end] * 3,
-            "cut": b"",
-        }[how := draw(st.sampled_from(["flip", "replace", "repeat", "cut"]))]
-        tail = {"flip": content[start + 1 :], "cut": b""}.get(how, content[end:])
-        content = content[:start] + new + tail
-    return content
-
-
-NUMBERS = st.one_of(st.integers(), st.floats(), st.sampled_from([-(2**63), 2**63, 10**40, 1e308]))
-DATES = st.sampled_from([datetime.date(2026, 1, 2), datetime.time(3, 4), datetime.datetime.max])
-LEAVES = st.one_of(NUMBERS, st.booleans(), st.text(max_size=8))
-VALUES = st.recursive(
-    LEAVES,
-    lambda inner: st.one_of(
-        st.lists(inner, max_size=3), st.dictionaries(st.text(max_size=4), inner, max_size=3)
-    ),
-    max_leaves=6,
+from tests.apps.dumps.importers.sources import noisebase_arrays, zarr_zip
+from tests.apps.fuzzing import (
+    COUNTS,
+    DATES,
+    NESTED,
+    VALUES,
+    draw_change,
+    examples,
+    fuzz,
+    fuzz_in_a_process,
+    result_or_error,
+    with_other_values,
 )
-NESTED = st.integers(1, 3000).map(lambda depth: f"{'[' * depth}{']' * depth}")
-
-
-@st.composite
-def with_other_values(draw: st.DrawFn, document: dict[str, Any], values: Any) -> dict[str, Any]:
-    """A document with other, missing and unknown values."""
-    document = dict(document)
-    for name in draw(st.lists(st.sampled_from(sorted(document)), min_size=1, max_size=3)):
-        document[name] = draw(values)
-    for name in draw(st.lists(st.sampled_from(sorted(document)), max_size=1)):
-        del document[name]
-    return document | draw(st.dictionaries(st.text(max_size=3), values, max_size=1))
-
+from tests.conftest import write_noise
 
 # Model cards and weights
 
@@ -280,47 +215,69 @@ test_a_changed_row_file_is_read_or_refused = examples(read_changed_rows, draw_ch
 LEDGER = b"date,preset,methods,cells,code_hash\n2026-01-01T00:00:00Z,mini,mean,3,ab\n"
 PIN = format_pin(Pin("owner/scenes", "0" * 40, "a", (PinnedFile("scene.xml", "1" * 40, 12),)))
 QUEUE = b'[[training]]\nname = "a"\nmethods = "ours"\nminutes = 5\n'
-LAYOUT = (ready_layouts()["blender"]).read_bytes()
-PROFILE = (PROFILES / "paper-2080ti.toml").read_bytes()
 
 
-def _sample(write: Callable[[Path], object], name: str) -> bytes:
+def written(write: Callable[[Path], object], name: str) -> bytes:
+    """The content of a file that a function writes into a folder."""
     with tempfile.TemporaryDirectory() as folder:
         write(Path(folder))
         return (Path(folder) / name).read_bytes()
 
 
-def _write_pfm(folder: Path) -> None:
-    write_pfm(folder / "a.pfm", np.ones((3, 4, 3), np.float32))
+@cache
+def archive_bytes() -> bytes:
+    return written(lambda folder: zarr_zip(folder / "a.zip", noisebase_arrays(0, 2)), "a.zip")
 
 
-STRANGERS: dict[str, tuple[str, bytes, Callable[[Path], Any]]] = {
-    "ledger": (looks.FILE, LEDGER, lambda file: looks.count_looks(file.parent)),
-    "pin": ("room.tsv", PIN.encode(), read_pin),
-    "queue": ("queue.toml", QUEUE, lambda file: read_queue(file, ["methods", "minutes"])),
-    "layout": ("layout.toml", LAYOUT, lambda file: read_layout(str(file))),
-    "cost": ("cost.toml", PROFILE, lambda file: read_profile(str(file))),
-    "header": (FILE, _sample(write_noise, FILE), lambda file: read_header(file.parent)),
-    "exr": ("a.exr", _sample(write_noise, "referenceA.0000.exr"), read_linear),
-    "pfm": ("a.pfm", _sample(_write_pfm, "a.pfm"), read_linear),
+def read_archive(file: Path) -> None:
+    with open_archive(file) as archive:
+        for key in ("color", "reference", "exposure"):
+            assert read_array(archive, key).nbytes < 2**24
+
+
+PLANE = np.linspace(0, 1, 20 * 12, dtype=np.float32).reshape(20, 12)
+PLANES = {"R": PLANE, "G": PLANE.astype(np.float16), "B": PLANE.round(1)}
+
+
+def read_two_planes(file: Path) -> None:
+    assert read_exr(file, ["R", "G"], 20, 12).shape == (2, 20, 12)
+
+
+STRANGERS: dict[str, tuple[str, Callable[[], bytes], Callable[[Path], object]]] = {
+    "ledger": (looks.FILE, lambda: LEDGER, lambda file: looks.count_looks(file.parent)),
+    "pin": ("room.tsv", PIN.encode, read_pin),
+    "queue": ("queue.toml", lambda: QUEUE, lambda file: read_queue(file, ["methods", "minutes"])),
+    "layout": ("a.toml", ready_layouts()["blender"].read_bytes, lambda f: read_layout(str(f))),
+    "cost": ("a.toml", (PROFILES / "paper-2080ti.toml").read_bytes, lambda f: read_profile(str(f))),
+    "header": (FILE, lambda: written(write_noise, FILE), lambda file: read_header(file.parent)),
+    "exr": ("a.exr", lambda: written(write_noise, "referenceA.0000.exr"), read_linear),
+    "exr planes": (
+        "a.exr",
+        lambda: written(lambda folder: write_exr(folder / "a.exr", PLANES), "a.exr"),
+        read_two_planes,
+    ),
+    "pfm": (
+        "a.pfm",
+        lambda: written(lambda f: write_pfm(f / "a.pfm", np.ones((3, 4, 3), "f4")), "a.pfm"),
+        read_linear,
+    ),
+    "zip": ("a.zip", archive_bytes, read_archive),
 }
 
 
-def read_changed_file(example: tuple[str, bytes]) -> None:
-    name, content = example
-    file_name, _, read = STRANGERS[name]
-    with tempfile.TemporaryDirectory() as folder:
-        file = Path(folder) / file_name
-        file.write_bytes(content)
+@pytest.mark.parametrize("count", COUNTS)
+@pytest.mark.parametrize("kind", STRANGERS)
+def test_a_changed_file_of_a_stranger_is_read_or_refused(kind, count, tmp_path):
+    name, content, read = STRANGERS[kind]
+    file = tmp_path / "folder" / name
+    file.parent.mkdir()
+
+    def check(changed: bytes) -> None:
+        file.write_bytes(changed)
         found = result_or_error(read, file)
         if isinstance(found, RlbenchError):
             assert file.stem in str(found)
-        assert [each.name for each in Path(folder).iterdir()] == [file_name]
+        assert [each.name for each in file.parent.iterdir()] == [name]
 
-
-test_a_changed_file_of_a_stranger_is_read_or_refused = examples(
-    read_changed_file,
-    st.sampled_from(sorted(STRANGERS)).flatmap(
-        lambda name: st.tuples(st.just(name), draw_change(STRANGERS[name][1]))
-    ),
-)
+    run = fuzz_in_a_process if name.endswith(".exr") else fuzz
+    run(count, draw_change(content()), check)

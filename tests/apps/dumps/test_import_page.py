@@ -24,16 +24,12 @@ def commands() -> list[list[str]]:
     return [shlex.split(line, comments=True)[1:] for line in block.splitlines()]
 
 
-def write_cost_file(file: Path) -> None:
-    """The cost profile that another page shows."""
-    page = (PAGES / "charge-your-renderer.md").read_text()
-    file.write_text(re.search(r"```toml\n(# mine.toml.*?)```", page, re.DOTALL)[1])
-
-
 @pytest.fixture
-def folder(tmp_path, monkeypatch):
-    """A fresh folder in which the commands are given."""
-    write_cost_file(tmp_path / "mine.toml")
+def folder(tmp_path, monkeypatch) -> Path:
+    """A fresh folder in which the commands are given, with the cost profile of another page."""
+    page = (PAGES / "charge-your-renderer.md").read_text()
+    profile = re.search(r"```toml\n(# mine.toml.*?)```", page, re.DOTALL)[1]
+    (tmp_path / "mine.toml").write_text(profile)
     monkeypatch.chdir(tmp_path)
     return tmp_path
 
@@ -45,12 +41,7 @@ def test_the_commands_of_the_page_lead_from_a_dump_to_a_decision(folder, sign):
     gbuffer = {**clip.gbuffer, "motion": sign * clip.gbuffer["motion"]}
     write_falcor(dataclasses.replace(clip, gbuffer=gbuffer), folder / "dump")
     outputs = {words[0]: rlbench(*words) for words in commands()}
-    assert list(outputs) == [
-        "lint",
-        "import",
-        "run",
-        "decide",
-    ]
+    assert list(outputs) == ["lint", "import", "run", "decide"]
     rows = results.read(folder / "results" / "own")
     assert set(rows.loc[rows["metric"] == "psnr", "method"]) == set(METHODS)
     assert any(name in outputs["decide"] for name in METHODS)

@@ -4,44 +4,32 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable, Iterable
+from functools import partial
 from pathlib import Path
 
 import numpy as np
 import numpy.typing as npt
-import OpenEXR
 import torch
 
 from rlbench.apps.dumps.lint.clip_arrays import ClipArrays
 from rlbench.clips.procedural import world
+from tests.apps.dumps.exr_files import Planes, write_file
 
 FOV = 60.0  # horizontal, degrees, of the procedural camera
 SAMPLES = 8
-Planes = dict[str, np.ndarray]
 
 
-def write_file(path: Path, parts: dict[str, Planes]) -> None:
-    """An EXR of half planes, but for depth and motion; several parts make a multi-part file."""
-    path.parent.mkdir(parents=True, exist_ok=True)
-    layout = {"compression": OpenEXR.ZIP_COMPRESSION, "type": OpenEXR.scanlineimage}
-    planes = {
-        part: {name: np.ascontiguousarray(plane) for name, plane in channels.items()}
-        for part, channels in parts.items()
-    }
-    if len(planes) == 1:
-        OpenEXR.File(layout, next(iter(planes.values()))).write(str(path))
-    else:
-        made = [OpenEXR.Part(dict(layout), channels, part) for part, channels in planes.items()]
-        OpenEXR.File(made).write(str(path))
-
-
-def planes(
+def halves(
     image: torch.Tensor, names: Iterable[str], prefix: str = "", kind: npt.DTypeLike = np.float16
 ) -> Planes:
-    """The channels of an image [c h w]."""
+    """The channels of an image [c h w], in half precision."""
     return {
         f"{prefix}{name}": plane.astype(kind)
         for name, plane in zip(names, image.numpy(), strict=True)
     }
+
+
+floats = partial(halves, kind=np.float32)
 
 
 def srgb(linear: torch.Tensor) -> torch.Tensor:
@@ -67,90 +55,107 @@ def ray_length(h: int, w: int) -> torch.Tensor:
 def write_falcor(arrays: ClipArrays, folder: Path) -> None:
     h, w = arrays.half_a.shape[-2:]
     for t in range(len(arrays)):
-        for s in range(SAMPLES):
-            path = folder / f"sample{s}" / f"Mogwai.PathTracer.color.{t}.exr"
-            write_file(path, {"": planes(arrays.pools["path"][t, s], "RGB", kind=np.float32)})
         buffers = {name: image[t] for name, image in arrays.gbuffer.items()}
-        size = torch.tensor([w, h]).view(2, 1, 1)
         depth = buffers["depth"].nan_to_num(posinf=0.0)
         images = {
-            "diffuseOpacity": planes(buffers["albedo"], "RGB"),
-            "normW": planes(buffers["normal"], "RGB"),
-            "linearZ": planes(torch.cat((depth, depth)), "RG", kind=np.float32),
-            "mvec": planes(buffers["motion"] / size, "RG", kind=np.float32),
+            "sample0/Mogwai.GBufferRT.diffuseOpacity": halves(buffers["albedo"], "RGB"),
+            "sample0/Mogwai.GBufferRT.normW": halves(buffers["normal"], "RGB"),
+            "sample0/Mogwai.GBufferRT.linearZ": floats(torch.cat((depth, depth)), "RG"),
+            "sample0/Mogwai.GBufferRT.mvec": floats(scaled(buffers["motion"], 1 / w, 1 / h), "RG"),
+            "referenceA/Mogwai.AccumulatePass.output": floats(arrays.half_a[t], "RGB"),
+            "referenceB/Mogwai.AccumulatePass.output": floats(arrays.half_b[t], "RGB"),
         }
+        for s in range(SAMPLES):
+            sample = floats(arrays.pools["path"][t, s], "RGB")
+            images[f"sample{s}/Mogwai.PathTracer.color"] = sample
         for name, channels in images.items():
-            write_file(folder / "sample0" / f"Mogwai.GBufferRT.{name}.{t}.exr", {"": channels})
-        for half, image in (("A", arrays.half_a), ("B", arrays.half_b)):
-            path = folder / f"reference{half}" / f"Mogwai.AccumulatePass.output.{t}.exr"
-            write_file(path, {"": planes(image[t], "RGB", kind=np.float32)})
+            write_file(folder / f"{name}.{t}.exr", {"": channels})
 
 
-def _write_layered(
-    arrays: ClipArrays,
-    folder: Path,
-    name: str,
-    beauty: str,
-    layers: Callable[[int], Planes],
-) -> None:
-    """One file a frame, with all layers; samples and references in folders."""
+# One file a frame, with all layers; samples and references in folders
+
+Buffers = dict[str, torch.Tensor]  # of one frame [c h w]
+
+
+def scaled(image: torch.Tensor, *factors: float) -> torch.Tensor:
+    return image * torch.tensor(factors).view(-1, 1, 1)
+
+
+def background(buffers: Buffers, value: float) -> torch.Tensor:
+    """Depth with another value than infinity in the background."""
+    return buffers["depth"].nan_to_num(posinf=value)
+
+
+def alpha(buffers: Buffers, name: str) -> Planes:
+    return halves(buffers["depth"].isfinite().float(), [name])
+
+
+def unreal(buffers: Buffers) -> Planes:
+    h, w = buffers["depth"].shape[-2:]
+    material = "FinalImageMovieRenderQueue_"
+    normal = scaled(buffers["normal"], 1, -1, 1)
+    return {
+        **halves(buffers["albedo"], "RGB", "FinalImageBaseColor."),
+        **halves((normal + 1) / 2, "RGB", "FinalImageWorldNormal."),
+        **floats(buffers["depth"], "R", f"{material}WorldDepth."),
+        **floats(0.5 - scaled(buffers["motion"], 1 / w, -1 / h), "RG", f"{material}MotionVectors."),
+    }
+
+
+def blender(buffers: Buffers) -> Planes:
+    vector = torch.cat((scaled(buffers["motion"], 1, -1), 0 * buffers["motion"]))
+    return {
+        **halves(buffers["albedo"], "RGB", "ViewLayer.Denoising Albedo."),
+        **halves(buffers["normal"], "XYZ", "ViewLayer.Normal."),
+        **floats(background(buffers, 1e10), "Z", "ViewLayer.Depth."),
+        **floats(vector, "XYZW", "ViewLayer.Vector."),
+    }
+
+
+def mitsuba(buffers: Buffers) -> Planes:
+    distance = buffers["depth"] * ray_length(*buffers["depth"].shape[-2:])
+    return {
+        **halves(buffers["albedo"], "RGB", "albedo."),
+        **halves(buffers["normal"], "XYZ", "nn."),
+        **floats(distance.nan_to_num(posinf=0.0), "T", "dd."),
+    }
+
+
+def renderman(buffers: Buffers) -> Planes:
+    velocity = torch.cat([24 * buffers["motion"], buffers["motion"][:1]])
+    return {
+        **halves(buffers["albedo"], "rgb", "albedo."),
+        **halves(buffers["normal"], "xyz", "Nn."),
+        **floats(background(buffers, 1e30), "z"),
+        **halves(velocity, "xyz", "dPcameradtime."),
+        **alpha(buffers, "a"),
+    }
+
+
+LAYERED: dict[str, tuple[str, str, Callable[[Buffers], Planes]]] = {
+    # names of files, the layer of the beauty and its channels, and the other layers
+    "unreal": ("{kind}/Shot.{frame:04d}.exr", "RGB", unreal),
+    "blender": ("{kind}/atrium{frame:04d}.exr", "ViewLayer.Combined.RGB", blender),
+    "mitsuba": ("{kind}/{frame:03d}.exr", "RGB", mitsuba),
+    "renderman": ("sh010/{kind}_{frame:04d}.exr", "Ci.rgb", renderman),
+}
+
+
+def write_layered(name: str, arrays: ClipArrays, folder: Path) -> None:
+    pattern, beauty, layers = LAYERED[name]
     for t in range(len(arrays)):
-        kinds = {f"sample{s}": arrays.pools["path"][t, s] for s in range(SAMPLES)}
-        kinds |= {"referenceA": arrays.half_a[t], "referenceB": arrays.half_b[t]}
-        for kind, image in kinds.items():
-            channels = planes(image, "RGB", beauty, np.float32)
-            write_file(folder / kind / name.format(t + 1), {"": channels | layers(t)})
+        others = layers({key: image[t] for key, image in arrays.gbuffer.items()})
+        images = {f"sample{s}": arrays.pools["path"][t, s] for s in range(SAMPLES)}
+        images |= {"referenceA": arrays.half_a[t], "referenceB": arrays.half_b[t]}
+        for kind, image in images.items():
+            path = folder / pattern.format(kind=kind, frame=t + 1)
+            write_file(path, {"": floats(image, beauty[-3:], beauty[:-3]) | others})
 
 
-def write_unreal(arrays: ClipArrays, folder: Path) -> None:
-    h, w = arrays.half_a.shape[-2:]
-
-    def layers(t: int) -> Planes:
-        buffers = {name: image[t] for name, image in arrays.gbuffer.items()}
-        x, y = buffers["motion"]
-        velocity = torch.stack((0.5 - x / w, 0.5 + y / h))
-        normal = buffers["normal"] * torch.tensor([1.0, -1, 1]).view(3, 1, 1)
-        prefix = "FinalImage{}."
-        material = "FinalImageMovieRenderQueue_{}."
-        return {
-            **planes(buffers["albedo"], "RGB", prefix.format("BaseColor")),
-            **planes((normal + 1) / 2, "RGB", prefix.format("WorldNormal")),
-            **planes(buffers["depth"], "R", material.format("WorldDepth"), np.float32),
-            **planes(velocity, "RG", material.format("MotionVectors"), np.float32),
-        }
-
-    _write_layered(arrays, folder, "Shot.{:04d}.exr", "", layers)
+write_blender = partial(write_layered, "blender")
 
 
-def write_blender(arrays: ClipArrays, folder: Path) -> None:
-    def layers(t: int) -> Planes:
-        buffers = {name: image[t] for name, image in arrays.gbuffer.items()}
-        x, y = buffers["motion"]
-        vector = torch.stack((x, -y, torch.zeros_like(x), torch.zeros_like(x)))
-        depth = buffers["depth"].nan_to_num(posinf=1e10)
-        return {
-            **planes(buffers["albedo"], "RGB", "ViewLayer.Denoising Albedo."),
-            **planes(buffers["normal"], "XYZ", "ViewLayer.Normal."),
-            **planes(depth, "Z", "ViewLayer.Depth.", np.float32),
-            **planes(vector, "XYZW", "ViewLayer.Vector.", np.float32),
-        }
-
-    _write_layered(arrays, folder, "atrium{:04d}.exr", "ViewLayer.Combined.", layers)
-
-
-def write_mitsuba(arrays: ClipArrays, folder: Path) -> None:
-    h, w = arrays.half_a.shape[-2:]
-
-    def layers(t: int) -> Planes:
-        buffers = {name: image[t] for name, image in arrays.gbuffer.items()}
-        distance = (buffers["depth"] * ray_length(h, w)).nan_to_num(posinf=0.0)
-        return {
-            **planes(buffers["albedo"], "RGB", "albedo."),
-            **planes(buffers["normal"], "XYZ", "nn."),
-            **planes(distance, "T", "dd.", np.float32),
-        }
-
-    _write_layered(arrays, folder, "{:03d}.exr", "", layers)
+# Others
 
 
 def write_nrd_sample(arrays: ClipArrays, folder: Path) -> None:
@@ -162,42 +167,24 @@ def write_nrd_sample(arrays: ClipArrays, folder: Path) -> None:
             diffuse = 0.7 * light / buffers["albedo"].clamp_min(1e-6)
             for name, image in (("DIFF", diffuse), ("SPEC", 0.3 * light)):
                 path = folder / f"sample{s}" / f"IN_{name}_RADIANCE_HITDIST.{t}.exr"
-                write_file(path, {"": planes(image, "RGB", kind=np.float32)})
+                write_file(path, {"": floats(image, "RGB")})
         images = {
-            "DirectLighting": planes(arrays.half_a[t].where(black, 0.0), "RGB", kind=np.float32),
-            "IN_BASECOLOR_METALNESS": planes(srgb(buffers["albedo"]), "RGB", kind=np.float32),
-            "IN_NORMAL_ROUGHNESS": planes(buffers["normal"], "RGB"),
-            "IN_VIEWZ": planes(buffers["depth"].nan_to_num(posinf=1e6), "R", kind=np.float32),
-            "IN_MV": planes(buffers["motion"], "RG", kind=np.float32),
+            "sample0/DirectLighting": floats(arrays.half_a[t].where(black, 0.0), "RGB"),
+            "sample0/IN_BASECOLOR_METALNESS": floats(srgb(buffers["albedo"]), "RGB"),
+            "sample0/IN_NORMAL_ROUGHNESS": halves(buffers["normal"], "RGB"),
+            "sample0/IN_VIEWZ": floats(background(buffers, 1e6), "R"),
+            "sample0/IN_MV": floats(buffers["motion"], "RG"),
+            "referenceA/Composed": floats(arrays.half_a[t], "RGB"),
+            "referenceB/Composed": floats(arrays.half_b[t], "RGB"),
         }
         for name, channels in images.items():
-            write_file(folder / "sample0" / f"{name}.{t}.exr", {"": channels})
-        for half, image in (("A", arrays.half_a), ("B", arrays.half_b)):
-            path = folder / f"reference{half}" / f"Composed.{t}.exr"
-            write_file(path, {"": planes(image[t], "RGB", kind=np.float32)})
+            write_file(folder / f"{name}.{t}.exr", {"": channels})
 
 
-def write_oidn(arrays: ClipArrays, folder: Path) -> None:
-    for t in range(len(arrays)):
-        for s in range(SAMPLES):
-            stem = folder / f"room_{t:04d}_seed{s}_0001spp"
-            path = Path(f"{stem}.hdr.exr")
-            write_file(path, {"": planes(arrays.pools["path"][t, s], "RGB", kind=np.float32)})
-            for name, suffix in (("albedo", "alb"), ("normal", "nrm")):
-                path = Path(f"{stem}.{suffix}.exr")
-                write_file(path, {"": planes(arrays.gbuffer[name][t], "RGB")})
-        for seed, image in ((8, arrays.half_a), (9, arrays.half_b)):
-            path = folder / f"room_{t:04d}_seed{seed}_0256spp.hdr.exr"
-            write_file(path, {"": planes(image[t], "RGB", kind=np.float32)})
-
-
-WRITERS = {
+WRITERS: dict[str, Callable[[ClipArrays, Path], None]] = {
     "falcor": write_falcor,
-    "unreal": write_unreal,
-    "blender": write_blender,
-    "mitsuba": write_mitsuba,
     "nrd-sample": write_nrd_sample,
-    "oidn": write_oidn,
+    **{name: partial(write_layered, name) for name in ("unreal", "blender", "mitsuba")},
 }
 
 OWN_LAYOUT = """
@@ -255,7 +242,7 @@ def write_own(arrays: ClipArrays, folder: Path) -> Path:
         for k in range(1, SAMPLES + 1):
             mean = light[:k].mean(0).flip(-2)
             path = folder / str(t) / f"mean_{k}spp.exr"
-            write_file(path, {"": planes(mean, "RGB", kind=np.float32)})
+            write_file(path, {"": floats(mean, "RGB")})
         x, y, z = torch.einsum("kc,chw->khw", axes[t], buffers["normal"])
         view = torch.stack((-y, z, x))  # so that x y z are the third, minus the first, the second
         near, far = 0.1, 50.0
@@ -263,12 +250,12 @@ def write_own(arrays: ClipArrays, folder: Path) -> Path:
         window = window.where(buffers["depth"].isfinite(), 0.0)  # the cleared value
         scale = torch.tensor([2 / w, -2 / h]).view(2, 1, 1)
         parts = {
-            "emission": planes(arrays.half_a[t].where(is_black, 0.0), "RGB", kind=np.float32),
-            "converged": planes(arrays.reference[t], "RGB", kind=np.float32),
-            "albedo": planes(buffers["albedo"], "RGB"),
-            "normal": planes((view + 1) / 2, "XYZ", kind=np.float32),
-            "depth": planes(window, "V", kind=np.float32),
-            "motion": planes(buffers["motion"] * scale, "RG", kind=np.float32),
+            "emission": floats(arrays.half_a[t].where(is_black, 0.0), "RGB"),
+            "converged": floats(arrays.reference[t], "RGB"),
+            "albedo": halves(buffers["albedo"], "RGB"),
+            "normal": floats((view + 1) / 2, "XYZ"),
+            "depth": floats(window, "V"),
+            "motion": floats(buffers["motion"] * scale, "RG"),
         }
         write_file(folder / str(t) / "all.exr", parts)
     matrices = np.tile(np.eye(4), (len(arrays), 1, 1))

@@ -9,12 +9,13 @@ import zlib
 from pathlib import Path
 
 import numpy as np
-import OpenEXR
+import pytest
 import torch
 from PIL import Image
 
 from rlbench.apps.dumps.importers import formats, writer
 from rlbench.clips.stored import StoredClip, open_clip
+from tests.apps.dumps.exr_files import write_image
 
 H, W = 12, 16  # at least the window of SSIM
 ROWS, COLUMNS = np.mgrid[:H, :W]
@@ -42,13 +43,6 @@ def pool(clip: StoredClip, index: int) -> np.ndarray:
 # OIDN
 
 
-def exr(path: Path, image: np.ndarray, names: str = "RGB") -> None:
-    path.parent.mkdir(parents=True, exist_ok=True)
-    layout = {"compression": OpenEXR.ZIP_COMPRESSION, "type": OpenEXR.scanlineimage}
-    channels = {n: np.ascontiguousarray(image[..., i]) for i, n in enumerate(names)}
-    OpenEXR.File(layout, channels).write(str(path))
-
-
 def radiance(frame: int, seed: int) -> np.ndarray:
     """Multiples of 1/8 up to 20, so exact in half precision."""
     return ((ROWS + COLUMNS + 2 * frame + seed)[..., None] + [0, 0.5, 8]).astype(np.float32) / 8
@@ -59,15 +53,15 @@ def write_oidn(folder: Path, frames: int = 3, seeds: int = 2, halves: bool = Fal
     for frame in range(frames):
         for seed in range(seeds):
             stem = f"walk_{frame:04d}_seed{seed}_0001spp"
-            exr(folder / f"{stem}.hdr.exr", radiance(frame, seed))
+            write_image(folder / f"{stem}.hdr.exr", radiance(frame, seed))
             albedo = np.full((H, W, 3), (0.25, 0.5, 1.5), np.float32) / (1 + seed)
-            exr(folder / f"{stem}.alb.exr", albedo)
+            write_image(folder / f"{stem}.alb.exr", albedo)
             normal = np.full((H, W, 3), (0, -0.6, 0.8), np.float32) * 2
             normal[0] = 0
-            exr(folder / f"{stem}.nrm.exr", normal, "XYZ")
+            write_image(folder / f"{stem}.nrm.exr", normal, "XYZ")
         for seed in range(2 if halves else 1):
             stem = f"walk_{frame:04d}_seed{8 + seed}_1024spp"
-            exr(folder / f"{stem}.hdr.exr", radiance(frame, 8 + seed) + np.float32(1 / 3))
+            write_image(folder / f"{stem}.hdr.exr", radiance(frame, 8 + seed) + np.float32(1 / 3))
     return folder
 
 
@@ -143,8 +137,7 @@ def zarr_zip(path: Path, arrays: dict[str, np.ndarray], **change: object) -> Non
 
     `change` replaces metadata of "color".
     """
-    from numcodecs import LZ4
-
+    numcodecs = pytest.importorskip("numcodecs", reason="the extra noisebase is not installed")
     path.parent.mkdir(parents=True, exist_ok=True)
     with zipfile.ZipFile(path, "w") as archive:
         archive.writestr(".zgroup", '{"zarr_format": 2}')
@@ -168,7 +161,7 @@ def zarr_zip(path: Path, arrays: dict[str, np.ndarray], **change: object) -> Non
                 elements = values[..., start : start + chunks[-1]]
                 part[..., : elements.shape[-1]] = elements
                 name = ".".join([*"0" * (values.ndim - 1), str(number)])
-                archive.writestr(f"{key}/{name}", bytes(LZ4().encode(part)))
+                archive.writestr(f"{key}/{name}", bytes(numcodecs.LZ4().encode(part)))
 
 
 def write_noisebase(folder: Path, frames: int = 3, samples: int = 6, **motion: float) -> Path:
@@ -205,6 +198,13 @@ def display(frame: int, slot: int) -> np.ndarray:
     return np.stack([value, 255 - value, value // 2], -1).clip(0, 255).astype(np.uint8)
 
 
+def display_bytes(light: np.ndarray) -> np.ndarray:
+    """Bytes of a PNG from linear light (sRGB, IEC 61966-2-1), clipped and rounded."""
+    light = light.clip(0, 1)
+    curve = np.where(light <= 0.0031308, 12.92 * light, 1.055 * light ** (1 / 2.4) - 0.055)
+    return np.rint(255 * curve).astype(np.uint8)
+
+
 def grid() -> torch.Tensor:
     """Previous positions of the pixels for grid_sample, as the authors' script writes them."""
     x = (DRIFT[0] * 2 + COLUMNS * 2 - W + 1) / W
@@ -228,3 +228,10 @@ def write_rl_path_tracing(
         if frame > 1:
             torch.save(grid(), scene / "motions" / f"{frame:04d}{corr}.pt")
     return folder
+
+
+WRITERS = {
+    "oidn": write_oidn,
+    "noisebase": write_noisebase,
+    "rl-path-tracing": write_rl_path_tracing,
+}

@@ -15,6 +15,7 @@ from rlbench.clips.frame_files import exr_path, write_frame
 from rlbench.clips.header import Header, write_header
 from rlbench.clips.procedural.clip import procedural_clip
 from rlbench.frames import Size
+from tests.apps.dumps.importers.dumps import camera_axes, ray_length
 
 POOL, HALF = 8, 256  # samples of the pool, and of each half of the reference
 Fault = Callable[[ClipArrays], ClipArrays]
@@ -53,14 +54,8 @@ def store(arrays: ClipArrays, folder: Path) -> Path:
     for i in range(len(arrays)):
         gbuffer = {name: channels_last(image[i]) for name, image in arrays.gbuffer.items()}
         pools = {kind: channels_last(pool[i]) for kind, pool in arrays.pools.items()}
-        write_frame(
-            folder,
-            i,
-            gbuffer,
-            pools,
-            channels_last(arrays.half_a[i]),
-            channels_last(arrays.half_b[i]),
-        )
+        halves = channels_last(arrays.half_a[i]), channels_last(arrays.half_b[i])
+        write_frame(folder, i, gbuffer, pools, *halves)
     write_header(folder, arrays.header)
     return folder
 
@@ -99,15 +94,6 @@ def motion_to_next_frame(arrays: ClipArrays) -> ClipArrays:
     return change_buffer("motion", lambda _: -later)(arrays)
 
 
-def ray_length(arrays: ClipArrays) -> torch.Tensor:
-    """Distance to the camera over view depth, for the procedural camera of 60 degrees."""
-    h, w = arrays.half_a.shape[-2:]
-    focal = w / 2 / np.tan(np.radians(30))
-    x = (torch.arange(w) + 0.5 - w / 2) / focal
-    y = (torch.arange(h)[:, None] + 0.5 - h / 2) / focal
-    return (1 + x.square() + y.square()).sqrt()
-
-
 def still_sky(arrays: ClipArrays) -> ClipArrays:
     """As Cycles writes it: no motion where nothing is hit."""
     motion = arrays.gbuffer["motion"].where(arrays.gbuffer["depth"].isfinite(), 0.0)
@@ -115,7 +101,7 @@ def still_sky(arrays: ClipArrays) -> ClipArrays:
 
 
 def distance_to_camera(arrays: ClipArrays) -> ClipArrays:
-    return change_buffer("depth", lambda d: d * ray_length(arrays))(arrays)
+    return change_buffer("depth", lambda d: d * ray_length(*d.shape[-2:]))(arrays)
 
 
 def normalised_depth(arrays: ClipArrays) -> ClipArrays:
@@ -125,17 +111,8 @@ def normalised_depth(arrays: ClipArrays) -> ClipArrays:
 
 
 def camera_space_normals(arrays: ClipArrays) -> ClipArrays:
-    """Normals along the axes of the procedural camera of each frame."""
-    from rlbench.clips.procedural import world
-
-    seed = arrays.header.name.rsplit("-", 1)[1]
-    own = world.random_world([f"{seed}/0"], torch.device("cpu"))
-    axes = torch.cat([world.camera_pose(own, 1.5 * t)[1] for t in range(len(arrays))]).float()
+    axes = camera_axes(arrays)
     return change_buffer("normal", lambda n: torch.einsum("tkc,tchw->tkhw", axes, n))(arrays)
-
-
-def encoded_normals(arrays: ClipArrays) -> ClipArrays:
-    return change_buffer("normal", lambda n: n * 0.5 + 0.5)(arrays)
 
 
 def upside_down(arrays: ClipArrays) -> ClipArrays:
@@ -143,10 +120,6 @@ def upside_down(arrays: ClipArrays) -> ClipArrays:
     flipped = {name: image.flip(-2) for name, image in arrays.gbuffer.items()}
     flipped["motion"] = flipped["motion"] * torch.tensor([1.0, -1.0]).view(1, 2, 1, 1)
     return replace(arrays, gbuffer=flipped)
-
-
-def twice_stored(arrays: ClipArrays) -> ClipArrays:
-    return change_pool(lambda p: torch.cat((p[:, :-1], p[:, :1]), 1))(arrays)
 
 
 def mixed_samples(samples: torch.Tensor) -> torch.Tensor:
@@ -186,14 +159,6 @@ def shared_seeds(arrays: ClipArrays) -> ClipArrays:
     return replace(arrays, half_a=total / HALF)
 
 
-def overlapping_halves(arrays: ClipArrays) -> ClipArrays:
-    return replace(arrays, half_b=arrays.half_a * 0.7 + arrays.half_b * 0.3)
-
-
-def equal_halves(arrays: ClipArrays) -> ClipArrays:
-    return replace(arrays, half_b=arrays.half_a)
-
-
 def filtered_reference(arrays: ClipArrays) -> ClipArrays:
     smooth = [tent_filtered(half[:, None])[:, 0] for half in (arrays.half_a, arrays.half_b)]
     return replace(arrays, half_a=smooth[0], half_b=smooth[1])
@@ -211,60 +176,67 @@ def noisy_reference(arrays: ClipArrays) -> ClipArrays:
     return replace(drawn, header=drawn.header)
 
 
-FAULTS: dict[str, tuple[str, Fault]] = {  # fault: the check that must fail, and how to make it
-    "x of motion has the wrong sign": ("motion", scale_motion(-1, 1)),
-    "y of motion points up": ("motion", scale_motion(1, -1)),
-    "motion is negated": ("motion", scale_motion(-1, -1)),
-    "motion has y as its first channel": ("motion", change_buffer("motion", lambda m: m.flip(1))),
-    "motion is in NDC": (
-        "motion",
-        lambda f: scale_motion(2 / f.half_a.shape[-1], 2 / f.half_a.shape[-2])(f),
-    ),
-    "motion is in UV": (
-        "motion",
-        lambda f: scale_motion(1 / f.half_a.shape[-1], 1 / f.half_a.shape[-2])(f),
-    ),
-    "motion is halved": ("motion", scale_motion(0.5, 0.5)),
-    "motion is doubled": ("motion", scale_motion(2, 2)),
-    "motion points to the next frame": ("motion", motion_to_next_frame),
-    "motion is zero": ("motion", scale_motion(0, 0)),
-    "the sky does not move": ("sky motion", still_sky),
-    "a moving clip is declared static": ("motion", change_header(static=True)),
-    "depth is the distance to the camera": ("depth", distance_to_camera),
-    "depth is normalised": ("depth", normalised_depth),
-    "depth is inverse": ("depth", change_buffer("depth", lambda d: 1 / d + 1e-6)),
-    "depth is negative": (
-        "depth",
-        change_buffer("depth", lambda d: torch.where(d.isfinite(), -d, d)),
-    ),
-    "background depth is a large number": (
-        "depth",
-        change_buffer("depth", lambda d: d.nan_to_num(posinf=1e10)),
-    ),
-    "normals are in camera space": ("normal", camera_space_normals),
-    "normals are encoded in 0..1": ("normal", encoded_normals),
-    "normals are not of unit length": ("normal", change_buffer("normal", lambda n: n * 0.8)),
-    "normals are mirrored": (
-        "normal",
-        change_buffer("normal", lambda n: n * torch.tensor([1.0, -1.0, 1.0]).view(1, 3, 1, 1)),
-    ),
-    "albedo is sRGB": ("albedo", change_buffer("albedo", lambda a: a ** (1 / 2.2))),
-    "albedo is in 0..255": ("albedo", change_buffer("albedo", lambda a: a * 255)),
-    "albedo is black": ("albedo", change_buffer("albedo", torch.zeros_like)),
-    "the G-buffer is upside down": ("orientation", upside_down),
-    "the samples are mirrored": ("orientation", change_pool(lambda p: p.flip(-1))),
-    "a sample is stored twice": ("sample independence", twice_stored),
-    "two samples share half of their pixels": ("sample independence", change_pool(mixed_samples)),
-    "all samples share noise": ("sample independence", shared_noise),
-    "samples are filtered": ("noise pattern", change_pool(tent_filtered)),
-    "all frames have the same seed": ("noise pattern", same_seed),
-    "half A contains the pool": ("independent seeds", shared_seeds),
-    "samples are half as bright": ("brightness", change_pool(lambda p: p / 2)),
-    "the halves overlap": ("reference halves", overlapping_halves),
-    "the halves are equal": ("reference halves", equal_halves),
-    "the reference is filtered": ("reference halves", filtered_reference),
-    "a reference is negative": ("non-negative radiance", negative_radiance),
-    "the reference is noisy": ("noise ceiling", noisy_reference),
-    "the exposure is a thousand times too high": ("exposure", change_header(exposure=1e4)),
-    "the exposure is far too low": ("exposure", change_header(exposure=1e-5)),
+def ndc_motion(arrays: ClipArrays) -> ClipArrays:
+    return scale_motion(2 / arrays.header.width, 2 / arrays.header.height)(arrays)
+
+
+def negative_y(normals: torch.Tensor) -> torch.Tensor:
+    return normals * torch.tensor([1.0, -1.0, 1.0]).view(1, 3, 1, 1)
+
+
+FAULTS: dict[str, dict[str, Fault]] = {  # by the check that must fail
+    "motion": {
+        "y points up": scale_motion(1, -1),
+        "it is negated": scale_motion(-1, -1),
+        "y is its first channel": change_buffer("motion", lambda m: m.flip(1)),
+        "it is in NDC": ndc_motion,
+        "it is doubled": scale_motion(2, 2),
+        "it points to the next frame": motion_to_next_frame,
+        "it is zero": scale_motion(0, 0),
+        "a moving clip is declared static": change_header(static=True),
+    },
+    "sky motion": {"the sky does not move": still_sky},
+    "depth": {
+        "it is the distance to the camera": distance_to_camera,
+        "it is normalised": normalised_depth,
+        "it is inverse": change_buffer("depth", lambda d: 1 / d + 1e-6),
+        "background is a large number": change_buffer("depth", lambda d: d.nan_to_num(posinf=1e10)),
+    },
+    "normal": {
+        "they are in camera space": camera_space_normals,
+        "they are encoded in 0..1": change_buffer("normal", lambda n: n * 0.5 + 0.5),
+        "they are not of unit length": change_buffer("normal", lambda n: n * 0.8),
+        "they are mirrored": change_buffer("normal", negative_y),
+    },
+    "albedo": {
+        "it is sRGB": change_buffer("albedo", lambda a: a ** (1 / 2.2)),
+        "it is in 0..255": change_buffer("albedo", lambda a: a * 255),
+        "it is black": change_buffer("albedo", torch.zeros_like),
+    },
+    "orientation": {
+        "the G-buffer is upside down": upside_down,
+        "the samples are mirrored": change_pool(lambda p: p.flip(-1)),
+    },
+    "sample independence": {
+        "a sample is stored twice": change_pool(lambda p: torch.cat((p[:, :-1], p[:, :1]), 1)),
+        "two samples share half of their pixels": change_pool(mixed_samples),
+        "all samples share noise": shared_noise,
+    },
+    "noise pattern": {
+        "samples are filtered": change_pool(tent_filtered),
+        "all frames have the same seed": same_seed,
+    },
+    "independent seeds": {"half A contains the pool": shared_seeds},
+    "brightness": {"samples are half as bright": change_pool(lambda p: p / 2)},
+    "reference halves": {
+        "they overlap": lambda f: replace(f, half_b=f.half_a * 0.7 + f.half_b * 0.3),
+        "they are equal": lambda f: replace(f, half_b=f.half_a),
+        "the reference is filtered": filtered_reference,
+    },
+    "non-negative radiance": {"a reference is negative": negative_radiance},
+    "noise ceiling": {"the reference is noisy": noisy_reference},
+    "exposure": {
+        "it is a thousand times too high": change_header(exposure=1e4),
+        "it is far too low": change_header(exposure=1e-5),
+    },
 }

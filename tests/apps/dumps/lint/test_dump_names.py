@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from pathlib import PurePath
+from pathlib import Path, PurePath
 
 import numpy as np
 import pytest
@@ -11,69 +11,39 @@ from hypothesis import strategies as st
 
 from rlbench.apps.dumps.importers.file_pattern import match_pattern
 from rlbench.apps.dumps.importers.layout import decode_layout
-from rlbench.apps.dumps.lint.dump_names import (
-    WORDS,
-    classify,
-    find_named_images,
-    list_unclaimed,
-)
+from rlbench.apps.dumps.lint.dump_names import WORDS, classify, find_named_images, list_unclaimed
 from rlbench.apps.dumps.lint.file_numbers import find_patterns
 from rlbench.errors import SourceError
-from tests.apps.dumps.importers.dumps import write_file
+from tests.apps.dumps.exr_files import write_file
 
 FRAMES = range(3)
 REFERENCES = [f"ref_{f:04d}.exr" for f in FRAMES]
-NAMES = {  # kinds of names: the paths of the images, and their patterns
-    "samples after spp": (
-        [f"frame_{f:04d}.spp{s}.exr" for f in FRAMES for s in (1, 2)],
-        ["frame_{frame}.spp{spp}.exr"],
-    ),
-    "samples without a word": (
-        [f"x_{f:04d}.{s}.exr" for f in FRAMES for s in (5, 6, 7, 8)],
-        ["x_{frame}.{sample}.exr"],
-    ),
-    "the frame first, then a sample": (
-        [f"x.{f}.{s:04d}.exr" for f in FRAMES for s in (7, 8)],
-        ["x.{frame}.{sample}.exr"],
-    ),
-    "accumulated": ([f"acc{n}/{f}.exr" for f in FRAMES for n in (1, 2)], ["acc{spp}/{frame}.exr"]),
-    "spp after a number": (
-        [f"x_{f}_{n:03d}spp.exr" for f in FRAMES for n in (1, 2)],
-        ["x_{frame}_{spp}spp.exr"],
-    ),
-    "a version": ([f"a_v003_{f}.exr" for f in FRAMES], ["a_v003_{frame}.exr"]),
-    "two versions": (
-        [f"v{v:03d}/a.{f}.exr" for f in FRAMES for v in (1, 2)],
-        ["v001/a.{frame}.exr", "v002/a.{frame}.exr"],
-    ),
-    "shots": (
-        [f"sh{s:03d}/a.{f}.exr" for f in FRAMES for s in (10, 20)],
-        ["sh{clip}/a.{frame}.exr"],
-    ),
-    "one shot": ([f"sh010/a.{f}.exr" for f in FRAMES], ["sh010/a.{frame}.exr"]),
-    "a name that only looks like a shot": (
-        [f"shot{f:04d}.exr" for f in FRAMES],
-        ["shot{frame}.exr"],
-    ),
-    "a tile": ([f"a.udim1001.{f}.exr" for f in FRAMES], ["a.udim1001.{frame}.exr"]),
-    "a constant number": ([f"a.1001.{f}.exr" for f in FRAMES], ["a.1001.{frame}.exr"]),
-    "a resolution": ([f"a_1920x1080_{f}.exr" for f in FRAMES], ["a_1920x1080_{frame}.exr"]),
-    "no padding": ([f"a{f}.exr" for f in (9, 10, 11)], ["a{frame}.exr"]),
-    "negative frames": ([f"a.{f}.exr" for f in (-1, 0, 1)], ["a.{frame}.exr"]),
-    "a sign after a word": (["a-1.exr", "a0.exr", "a1.exr"], ["a{frame}.exr"]),
-    "a dash": (["a-1.exr", "a-2.exr"], ["a-{frame}.exr"]),
-    "the frame twice": ([f"{f}/a.{f}.exr" for f in FRAMES], ["{frame}/a.{frame}.exr"]),
-    "the frame twice, padded": ([f"{f}/a.{f:04d}.exr" for f in FRAMES], ["{frame}/a.*.exr"]),
-    "halves": ([f"ref{h}/{f}.exr" for f in FRAMES for h in "AB"], ["ref{half}/{frame}.exr"]),
-    "brackets": ([f"[old] a.{f}.exr" for f in FRAMES], ["*old* a.{frame}.exr"]),
-}
+NAMES = [  # names of frames f and numbers n; these; patterns
+    ("frame_{f:04d}.spp{n}.exr", FRAMES, (1, 2), "frame_{frame}.spp{spp}.exr"),
+    ("x_{f:04d}.{n}.exr", FRAMES, (5, 6, 7, 8), "x_{frame}.{sample}.exr"),
+    ("x.{f}.{n:04d}.exr", FRAMES, (7, 8), "x.{frame}.{sample}.exr"),  # the frame first
+    ("acc{n}/{f}.exr", FRAMES, (1, 2), "acc{spp}/{frame}.exr"),
+    ("v{n:03d}/a.{f}.exr", FRAMES, (1, 2), "v001/a.{frame}.exr v002/a.{frame}.exr"),  # versions
+    ("sh{n:03d}/a.{f}.exr", FRAMES, (10, 20), "sh{clip}/a.{frame}.exr"),  # shots
+    ("sh010/a.{f}.exr", FRAMES, "-", "sh010/a.{frame}.exr"),
+    ("shot{f:04d}.exr", FRAMES, "-", "shot{frame}.exr"),  # which only looks like a shot
+    ("a.udim1001.{f}.exr", FRAMES, "-", "a.udim1001.{frame}.exr"),
+    ("a_1920x1080_{f}.exr", FRAMES, "-", "a_1920x1080_{frame}.exr"),
+    ("a{f}.exr", (9, 10, 11), "-", "a{frame}.exr"),  # no padding
+    ("a.{f}.exr", (-1, 0, 1), "-", "a.{frame}.exr"),
+    ("a{f}.exr", (-1, 0, 1), "-", "a{frame}.exr"),  # a sign after a word
+    ("a{f}.exr", (-2, -1), "-", "a-{frame}.exr"),  # a dash
+    ("{f}/a.{f:04d}.exr", FRAMES, "-", "{frame}/a.*.exr"),
+    ("ref{n}/{f}.exr", FRAMES, "AB", "ref{half}/{frame}.exr"),
+    ("[old]_a.{f}.exr", FRAMES, "-", "*old*_a.{frame}.exr"),
+]
 
 
-@pytest.mark.parametrize("kind", NAMES)
-def test_the_numbers_of_names_are_told_apart(kind):
-    paths, patterns = NAMES[kind]
+@pytest.mark.parametrize(("template", "frames", "numbers", "patterns"), NAMES)
+def test_the_numbers_of_names_are_told_apart(template, frames, numbers, patterns):
+    paths = [template.format(f=f, n=n) for f in frames for n in numbers]
     found = find_patterns([*paths, *REFERENCES], lambda path: path.startswith("ref_"))
-    assert sorted(set(found) - {"ref_{frame}.exr"}) == patterns
+    assert sorted(set(found) - {"ref_{frame}.exr"}) == patterns.split()
 
 
 WORD = st.from_regex(r"[a-z]{3,6}", fullmatch=True).filter(
@@ -133,51 +103,43 @@ def test_any_text_is_classified(text):
     assert not name or place < len(WORDS[name])
 
 
-LAYER_NAMES = {
-    "N": "normal",
-    "Nn": "normal",
-    "Z": "depth",
-    "z": "depth",
-    "C": "radiance",
-    "Ci": "radiance",
-    "RGBA": "radiance",
-    "diffuse_albedo": "albedo",
-    "VRayDiffuseFilter": "albedo",
-    "VRayZDepth": "depth",
-    "VRayNormals": "normal",
-    "VRayVelocity": "motion",
-    "FinalImage": "radiance",
-    "FinalImageMovieRenderQueue_WorldDepth": "depth",
-    "ActorHitProxyMask": "",
-    "irradiance": "",
-    "crypto_object00": "",
-    "V.Noisy Image": "radiance",
-}
-
-
-@pytest.mark.parametrize("layer", LAYER_NAMES)
-def test_the_layers_of_renderers_are_known(layer):
-    assert classify(layer)[0] == LAYER_NAMES[layer]
+@pytest.mark.parametrize(
+    ("name", "layers"),
+    [
+        ("normal", ["N", "Nn", "VRayNormals"]),
+        ("depth", ["Z", "z", "VRayZDepth", "FinalImageMovieRenderQueue_WorldDepth"]),
+        ("radiance", ["C", "Ci", "RGBA", "FinalImage", "V.Noisy Image"]),
+        ("albedo", ["diffuse_albedo", "VRayDiffuseFilter"]),
+        ("motion", ["VRayVelocity"]),
+        ("", ["ActorHitProxyMask", "irradiance", "crypto_object00"]),
+    ],
+)
+def test_the_layers_of_renderers_are_known(name, layers):
+    assert {layer: classify(layer)[0] for layer in layers} == dict.fromkeys(layers, name)
 
 
 def flat(value: float, *names: str) -> dict[str, np.ndarray]:
     return {name: np.full((8, 12), value, np.float32) for name in names}
 
 
+def write_both(folder: Path, planes: dict[str, np.ndarray], name: str = "a") -> None:
+    """A sample and a reference of these planes."""
+    for kind in ("sample0", "reference"):
+        write_file(folder / kind / f"{name}.1.exr", {"": planes})
+
+
 def test_an_image_whose_values_contradict_its_name_is_passed_over(tmp_path):
     beauty = flat(0.5, "R", "G", "B")
     unit = flat(1.0, "Normal.X") | flat(0.0, "Normal.Y", "Normal.Z")
     wrong = flat(7.0, "WorldNormal.X", "WorldNormal.Y", "WorldNormal.Z")
-    for kind in ("sample0", "reference"):
-        write_file(tmp_path / kind / "a.1.exr", {"": beauty | unit | wrong})
+    write_both(tmp_path, beauty | unit | wrong)
     found = find_named_images(tmp_path)
     assert found["normal"].channels == ("Normal.X", "Normal.Y", "Normal.Z")
 
 
 def test_the_newest_version_is_read(tmp_path):
-    for kind in ("sample0", "reference"):
-        for version in (2, 10, 9):
-            write_file(tmp_path / kind / f"v{version}" / "a.1.exr", {"": flat(0.5, *"RGB")})
+    for version in (2, 10, 9):
+        write_both(tmp_path, flat(0.5, *"RGB"), f"v{version}/a")
     assert find_named_images(tmp_path)["radiance"].pattern == "sample{sample}/v10/a.{frame}.exr"
 
 
@@ -194,19 +156,12 @@ def test_channels_that_nothing_reads_are_listed_with_their_range_and_what_they_c
         "Mist.Z": ramp,
         "Id.V": np.round(9 * ramp),
         "Far.V": 50 * ramp,
-        "UV.U": ramp,
-        "UV.V": ramp,
-        "P.X": ramp - 0.5,
-        "P.Y": ramp,
-        "P.Z": ramp,
         "A": np.ones_like(ramp),
-        "Tint.R": ramp,
-        "Tint.G": ramp,
-        "Tint.B": ramp,
+        **dict.fromkeys(["UV.U", "UV.V", "P.Y", "P.Z", "Tint.R", "Tint.G", "Tint.B"], ramp),
+        "P.X": ramp - 0.5,
         "Flat.V": 0 * ramp + 3,
     }
-    for kind in ("sample0", "reference"):
-        write_file(tmp_path / kind / "a.1.exr", {"": flat(0.5, *"RGB") | layers})
+    write_both(tmp_path, flat(0.5, *"RGB") | layers)
     tables = {name: image.to_table() for name, image in find_named_images(tmp_path).items()}
     lines = list_unclaimed(tmp_path, decode_layout(tables, "guess"))
     assert {line.split(" (")[0]: line.split("): ")[1] for line in lines} == {
@@ -240,7 +195,7 @@ def test_no_layout_is_guessed_for_what_is_no_dump(tmp_path, file, message):
 @pytest.mark.parametrize("others", [("envLight", "color2"), ("emissive", "ref_emissive")])
 def test_parts_of_light_are_not_taken_for_the_whole(tmp_path, others):
     for name in ("color", "ref", *others):
-        write_file(tmp_path / f"{name}_0001.exr", {"": {c: np.ones((4, 4), "f4") for c in "RGB"}})
+        write_file(tmp_path / f"{name}_0001.exr", {"": flat(1, *"RGB")})
     found = find_named_images(tmp_path)
     assert found["radiance"].pattern == "color_{frame}.exr"
     assert found["reference"].pattern == "ref_{frame}.exr"
