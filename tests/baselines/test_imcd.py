@@ -12,7 +12,6 @@ import torch
 from scipy import ndimage
 from torch import Tensor
 
-from baselines.accumulate.memory import LightHistory
 from baselines.imcd.method import Config, Imcd, build
 from baselines.imcd.network import (
     EMBEDDING,
@@ -23,8 +22,7 @@ from baselines.imcd.network import (
     apply_affinity_kernels,
 )
 from baselines.imcd.train import losses, sharpness_penalty, training_task
-from rlbench.frames import GBuffer, Samples, Size
-from rlbench.ops.demodulation import demodulation_albedo, filtered_albedo
+from rlbench.frames import GBuffer, Size
 from rlbench.run import run_clip
 from tests.baselines.noise import noisy_clip, random_tensor, read_samples
 
@@ -189,21 +187,6 @@ def test_a_repeated_frame_is_blended_with_the_first(method: Imcd) -> None:
     )
     assert torch.equal(second.denoised, expected)
     assert not torch.equal(second.denoised, first.denoised)
-
-
-@pytest.mark.parametrize("age", [0, 1], ids=["without history", "with history"])
-def test_constant_irradiance_stays_constant(method: Imcd, age: int) -> None:
-    """Weights sum to one."""
-    gbuffer = noisy_clip().frames[0].gbuffer
-    reflectance = demodulation_albedo(filtered_albedo(gbuffer.albedo))
-    samples = Samples((0.7 * reflectance)[:, None], torch.ones(1, 1, 16, 16, dtype=torch.int64))
-    before = LightHistory(*(torch.full((1, c, 16, 16), 0.7) for c in (3, 3, 40)), age)
-    image, state = method.denoise(gbuffer, samples, before)
-    # float32 sums of 242 weights, and one division by reflectance
-    torch.testing.assert_close(
-        state.denoised, torch.full_like(state.denoised, 0.7), rtol=1e-5, atol=0
-    )
-    torch.testing.assert_close(image, 0.7 * reflectance, rtol=1e-5, atol=0)
 
 
 def test_emitters_with_black_albedo_keep_their_radiance() -> None:

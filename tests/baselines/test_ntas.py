@@ -6,15 +6,11 @@ import pytest
 import torch
 from torch import nn
 
-from baselines.ntas.method import Ntas, State, build
+from baselines.ntas.method import Ntas, build
 from baselines.ntas.network import Networks
 from baselines.ntas.train import training_task
-from rlbench.frames import Samples, Size
-from rlbench.ops.demodulation import demodulation_albedo, filtered_albedo
-from rlbench.run import run_clip
+from rlbench.frames import Size
 from tests.baselines.noise import (
-    counts_of_halves,
-    half_noisy,
     noisy_clip,
     random_tensor,
 )
@@ -50,33 +46,6 @@ def test_pixels_with_only_invalid_taps_ignore_the_history() -> None:
     bright = networks.denoiser(features, irradiance, torch.full((1, 3, 16, 16), 1e3), valid)
     assert torch.equal(dark[..., :6], bright[..., :6])  # 5x5 taps reach two pixels
     assert (bright[..., 6:] > dark[..., 6:]).all()
-
-
-@pytest.mark.parametrize("age", [0, 1], ids=["without history", "with history"])
-def test_constant_irradiance_stays_constant(method: Ntas, age: int) -> None:
-    """Kernels sum to one on every level, with and without history."""
-    gbuffer = next(iter(noisy_clip())).gbuffer
-    reflectance = demodulation_albedo(filtered_albedo(gbuffer.albedo))
-    samples = Samples((0.7 * reflectance)[:, None], torch.ones(1, 1, 16, 16, dtype=torch.int64))
-    image, state = method.denoise(gbuffer, samples, State(torch.full((1, 3, 16, 16), 0.7), age))
-    # float32 through five levels and one division by reflectance
-    torch.testing.assert_close(
-        state.denoised, torch.full_like(state.denoised, 0.7), rtol=1e-5, atol=0
-    )
-    torch.testing.assert_close(image, 0.7 * reflectance, rtol=1e-5, atol=0)
-
-
-def test_the_sampler_learns_where_noise_is() -> None:
-    task = training_task("", CPU, seed=0)
-    optimizer = torch.optim.Adam(task.networks.parameters(), 5e-4)
-    for seed in range(15):
-        for loss in task.losses(half_noisy(seed, frames=2), 3.0):
-            optimizer.zero_grad()
-            loss.backward()
-            optimizer.step()
-    *_, result = run_clip(task.method, half_noisy(99, frames=2), 3.0)
-    left, right = counts_of_halves(result.samples.counts)
-    assert left > 2 * right  # 3 and 3 before, 5 and 1 at best
 
 
 def test_the_output_of_direct_is_between_zero_and_the_largest_half() -> None:
