@@ -1,4 +1,4 @@
-"""NTAS: network sizes, properties of its kernels, and the gradient that trains its sampler."""
+"""NTAS: limits of its outputs, invalid history, and the gradient at the start."""
 
 from __future__ import annotations
 
@@ -16,43 +16,37 @@ from tests.baselines.noise import (
 )
 
 CPU = torch.device("cpu")
-SIZE = Size(1, 16, 16)
 
 
-@pytest.fixture(scope="module")
-def method() -> Ntas:
-    return build("", CPU, "random")
+def networks_with_noise(variant: str, network: str) -> Networks:
+    """Networks with a random last layer, far from its start."""
+    networks = build(variant, CPU, "random").networks
+    last = networks.get_submodule(network).unet.dec_conv0.weight
+    nn.init.normal_(last, 0, 1e3, torch.Generator().manual_seed(0))
+    return networks
 
 
-def test_extreme_sampler_outputs_still_give_every_pixel_some_density(method: Ntas) -> None:
-    networks = Networks()
-    networks.init_weights(seed=0)
-    nn.init.normal_(
-        networks.sampler.unet.dec_conv0.weight, 0, 1e3, torch.Generator().manual_seed(0)
-    )
+def test_extreme_sampler_outputs_still_give_every_pixel_some_density() -> None:
     frame = next(iter(noisy_clip()))
-    steep = Ntas(networks)
+    steep = Ntas(networks_with_noise("", "sampler"))
     density = steep.plan(frame.gbuffer, frame.pool.empty(), steep.start(frame.pool.size))
     assert density.min() > 0
 
 
 def test_pixels_with_only_invalid_taps_ignore_the_history() -> None:
-    networks = Networks()
-    networks.init_weights(seed=0)
+    denoiser = build("", CPU, "random").networks.denoiser
     features, irradiance = random_tensor(1, 13, 16, 16), random_tensor(1, 3, 16, 16, seed=1)
-    valid = torch.zeros(1, 1, 16, 16, dtype=torch.bool)
-    valid[..., 8:] = True
-    dark = networks.denoiser(features, irradiance, torch.zeros(1, 3, 16, 16), valid)
-    bright = networks.denoiser(features, irradiance, torch.full((1, 3, 16, 16), 1e3), valid)
+    valid = (torch.arange(16) >= 8).expand(1, 1, 16, 16)
+    dark, bright = (
+        denoiser(features, irradiance, torch.full((1, 3, 16, 16), light), valid)
+        for light in (0.0, 1e3)
+    )
     assert torch.equal(dark[..., :6], bright[..., :6])  # 5x5 taps reach two pixels
     assert (bright[..., 6:] > dark[..., 6:]).all()
 
 
 def test_the_output_of_direct_is_between_zero_and_the_largest_half() -> None:
-    networks = build("direct", CPU, "random").networks
-    nn.init.normal_(
-        networks.denoiser.unet.dec_conv0.weight, 0, 1e3, torch.Generator().manual_seed(0)
-    )
+    networks = networks_with_noise("direct", "denoiser")
     light = random_tensor(1, 3, 16, 16)
     valid = torch.ones(1, 1, 16, 16, dtype=torch.bool)
     irradiance = networks.denoiser(random_tensor(1, 13, 16, 16), light, light, valid)
