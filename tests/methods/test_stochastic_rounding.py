@@ -107,10 +107,7 @@ SINGLE = StochasticLearner(block=1, margin=0, is_standardized=False)
 TOLERANCE = 0.5  # of a mean of 225 squared normal values: 5 standard deviations
 
 
-EVERY_BUDGET = pytest.mark.parametrize("spp", [0.25, 0.6, 1.5, 2.5])  # counts in [0.1, 4)
-
-
-@EVERY_BUDGET
+@pytest.mark.parametrize("spp", [0.25, 0.6, 1.5, 2.5])  # counts in [0.1, 4)
 def test_the_gradient_of_expected_errors_is_that_in_closed_form(spp):
     """Planned counts are below 1 in all pixels, in some, and in none; nothing is left to chance."""
     problem, action = make_problem(ExpectedProblem, Direct(), spp)
