@@ -1,6 +1,8 @@
-"""What several methods have in common: first images, kept light, exposure, samplers."""
+"""What several methods have in common: first images, kept light, exposure, training."""
 
 from __future__ import annotations
+
+from pathlib import Path
 
 import pytest
 import torch
@@ -14,14 +16,11 @@ from rlbench.frames import Samples, Size
 from rlbench.method import Method
 from rlbench.ops.demodulation import demodulation_albedo, filtered_albedo
 from rlbench.run import run_clip
-from tests.baselines.noise import (
-    SMALL,
-    counts_of_halves,
-    half_noisy,
-    noisy_clip,
-    one_sample,
-)
+from rlbench.training import TrainingConfig, train
+from rlbench.weights import digest
+from tests.baselines.noise import SMALL, counts_of_halves, half_noisy, noisy_clip, one_sample
 from tests.baselines.test_families import edit_tensors
+from tests.conftest import write_noise
 
 SAMPLER_STAGE = 0.4  # fraction of a training of `dasr`
 
@@ -111,3 +110,41 @@ def test_the_sampler_learns_where_noise_is(name: str, frames: int, rate: float) 
     *_, result = run_clip(task.method, half_noisy(99, frames), 3.0)
     left, right = counts_of_halves(result.samples.counts)
     assert left > 2 * right  # 3 and 3 before, 5 and 1 at best
+
+
+class KilledError(Exception):
+    """Stands for a killed process."""
+
+
+@pytest.mark.parametrize(
+    ("name", "config", "kill_after"),
+    [
+        # stages of 5 frames, 1, and 6; one sequence after the first checkpoint
+        ("dasr", TrainingConfig(frames=12, crop=16, sequence_length=1, eval_interval=4), 5),
+        # value and delayed sampler are in checkpoints; the weights file loads without them
+        pytest.param(
+            "ours/paper-appo",
+            TrainingConfig(frames=9, crop=16, sequence_length=3, eval_interval=3),
+            1,
+            marks=pytest.mark.slow,
+        ),
+    ],
+)
+def test_a_killed_training_ends_as_an_undisturbed_one(
+    name: str, config: TrainingConfig, kill_after: int, tmp_path: Path
+) -> None:
+    clip = write_noise(tmp_path / "clips" / "noise", frames=config.sequence_length, h=32, w=32)
+
+    def run(folder: str, kill_after: int | None = None) -> Path:
+        def report(progress, loss) -> None:
+            if progress.sequences == kill_after:
+                raise KilledError
+
+        train(name, [clip], [clip], tmp_path / folder, config, on_progress=report)
+        return tmp_path / folder / f"{name.rpartition('/')[2]}.safetensors"
+
+    with pytest.raises(KilledError):
+        run("killed", kill_after)
+    resumed, undisturbed = run("killed"), run("undisturbed")
+    assert digest(resumed) == digest(undisturbed)
+    registry.load_method(name, weights=str(resumed))

@@ -1,4 +1,4 @@
-"""IMCD: its filter against loops and box filters, its history, and its training."""
+"""IMCD: its filter against loops, its history, and its training."""
 
 from __future__ import annotations
 
@@ -9,7 +9,6 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import torch
-from scipy import ndimage
 from torch import Tensor
 
 from baselines.imcd.method import Config, Imcd, build
@@ -40,12 +39,6 @@ def kernels(h: int, w: int) -> Kernels:
     )
 
 
-def constant_kernels(h: int, w: int, sharpness: float) -> Kernels:
-    """Random features with a constant sharpness and centre weights of 1."""
-    one = torch.ones(1, 3, 1, h, w)
-    return kernels(h, w)._replace(sharpness=sharpness * one, centre_weight=one)
-
-
 @pytest.fixture(scope="module")
 def method() -> Imcd:
     return replace(build("", CPU, "random"), config=Config(SMALL_KERNELS))
@@ -55,25 +48,6 @@ def method() -> Imcd:
 def trainable() -> Imcd:
     """IMCD with trainable weights and small kernels, for speed."""
     return replace(training_task("", CPU, seed=0).method, config=Config(SMALL_KERNELS))
-
-
-@pytest.mark.parametrize("side", [5, 11])
-def test_without_sharpness_the_filter_is_three_dilated_boxes(side: int) -> None:
-    irradiance = random_tensor(1, 3, 40, 30)
-    expected = irradiance[0].double().numpy()
-    for dilation in (1, 2, 4):
-        reach = side // 2 * dilation
-        box = np.zeros((1, 2 * reach + 1, 2 * reach + 1))
-        box[:, ::dilation, ::dilation] = 1
-        total, area = (
-            ndimage.correlate(image, box, mode="constant")
-            for image in (expected, np.ones_like(expected))
-        )
-        expected = total / area
-    predicted = constant_kernels(40, 30, sharpness=0.0)
-    filtered = apply_affinity_kernels(irradiance, predicted, None, KernelSizes(side))
-    # float32 sums of up to 121 terms, three times
-    np.testing.assert_allclose(filtered[0].numpy(), expected, rtol=1e-5)
 
 
 def filter_in_loops(
@@ -163,8 +137,8 @@ def test_emitters_with_black_albedo_keep_their_radiance(method: Imcd) -> None:
 
 
 def test_the_sharpness_penalty_is_the_mean_of_squares() -> None:
-    temporal = torch.full((1, 1, 4, 4), 3.0)
-    predicted = constant_kernels(4, 4, sharpness=2.0)._replace(temporal_sharpness=temporal)
+    two, three = torch.full((1, 3, 1, 4, 4), 2.0), torch.full((1, 1, 4, 4), 3.0)
+    predicted = kernels(4, 4)._replace(sharpness=two, temporal_sharpness=three)
     assert float(sharpness_penalty(predicted)) == pytest.approx(2.0**2 + 3.0**2)
 
 

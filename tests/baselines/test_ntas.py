@@ -10,10 +10,7 @@ from baselines.ntas.method import Ntas, build
 from baselines.ntas.network import Networks
 from baselines.ntas.train import training_task
 from rlbench.frames import Size
-from tests.baselines.noise import (
-    noisy_clip,
-    random_tensor,
-)
+from tests.baselines.noise import noisy_clip, random_tensor
 
 CPU = torch.device("cpu")
 

@@ -27,7 +27,6 @@ pytestmark = pytest.mark.skipif(
 )
 SIZE = Size(1, 96, 128)
 CPU = torch.device("cpu")
-ROWS = [("", "high"), ("fast", "fast")]  # a row's variant and the library's quality
 # Relative, in radiance. Both compute in float32 and add in another order; the largest difference
 # measured on such images is 9e-6. No padding: the sides are multiples of 16.
 TOLERANCE = 1e-4
@@ -97,7 +96,7 @@ def largest_relative_difference(image: Tensor, expected: Tensor) -> float:
     return float(((image - expected).abs() / expected).max())
 
 
-@pytest.mark.parametrize(("variant", "quality"), ROWS)
+@pytest.mark.parametrize(("variant", "quality"), [("", "high"), ("fast", "fast")])
 @pytest.mark.parametrize("size", [(16, 16), (64, 96), (208, 160)])
 @pytest.mark.parametrize("spread", [0.5, 2.0])
 @float32_library
@@ -110,14 +109,6 @@ def test_the_image_is_the_librarys_on_random_input(variant, quality, size, sprea
     assert largest_relative_difference(image, expected) < TOLERANCE
     noisy = mean_without_fireflies(samples.radiance, samples.counts)
     assert largest_relative_difference(noisy, expected) > 0.1  # the image was denoised
-
-
-@float32_library
-def test_other_weights_are_told_apart_by_far():
-    gbuffer, samples = random_frame(64, 96, 0.5)
-    image, _ = oidn.build("tuned", CPU, None).denoise(gbuffer, samples, None)
-    expected, _ = build("", CPU, None).denoise(gbuffer, samples, None)
-    assert largest_relative_difference(image, expected) > 100 * TOLERANCE
 
 
 def test_the_command_makes_the_shipped_files(tmp_path, capsys):

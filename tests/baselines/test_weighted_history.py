@@ -156,15 +156,17 @@ def test_a_lamp_does_not_dominate_the_pixel_beside_it() -> None:
     assert not valid[..., -1].any()
 
 
+def images(name: str, *frames: Frame) -> list[Tensor]:
+    """The images of a method with random weights."""
+    method = registry.load_method(name, weights="random")
+    return [result.image for result in run_clip(method, to_clip(frames), 2.0)]
+
+
 @pytest.mark.parametrize("name", RIVALS)
 def test_without_motion_noise_and_change_the_variant_is_the_method(name: str) -> None:
     """All history has the weight 1; reprojection has nothing to do."""
-    clip = to_clip(still_frames(4))
-    base, variant = (
-        [result.image for result in run_clip(registry.load_method(n, weights="random"), clip, 2.0)]
-        for n in (name, f"{name}/history")
-    )
-    for expected, image in zip(base, variant, strict=True):
+    pairs = zip(*(images(row, *still_frames(4)) for row in (name, f"{name}/history")), strict=True)
+    for expected, image in pairs:
         # log transfer and back, in each frame; weights of 0.9999
         torch.testing.assert_close(image, expected, rtol=1e-3, atol=1e-4)
 
@@ -175,27 +177,20 @@ def test_a_frame_of_other_surfaces_is_a_first_frame(name: str) -> None:
     first, second = procedural_clip(3, SIZE, 2, static=True)
     depth = torch.ones_like(first.gbuffer.depth)
     first, turned = with_buffers(first, depth=depth), with_buffers(second, depth=1000 * depth)
-    method = registry.load_method(name, weights="random")
     assert not weigh([first, turned])[-1].any()
-    *_, after = run_clip(method, to_clip([first, turned]), 2.0)
-    (alone,) = run_clip(method, to_clip([turned]), 2.0)
-    assert torch.equal(after.image, alone.image)
-    base = registry.load_method(name.removesuffix("/history"), weights="random")
-    *_, kept = run_clip(base, to_clip([first, turned]), 2.0)
-    assert not torch.equal(kept.image, after.image)
+    after = images(name, first, turned)[-1]
+    assert torch.equal(after, images(name, turned)[0])
+    assert not torch.equal(after, images(name.removesuffix("/history"), first, turned)[-1])
 
 
 @pytest.mark.parametrize("name", HISTORY)
 def test_a_switched_light_is_followed_at_once(name: str) -> None:
     """By the variant; the method itself, with the same weights, keeps old light."""
     *before, last = still_frames(4)
-    switched = switch_light(last)
-    clip, errors = to_clip([*before, switched]), []
+    switched, errors = switch_light(last), []
     for row in (name.removesuffix("/history"), name):
-        *_, result = run_clip(registry.load_method(row, weights="random"), clip, 2.0)
-        (alone,) = run_clip(registry.load_method(row, weights="random"), to_clip([switched]), 2.0)
-        left = (..., slice(0, SIZE.w // 2 - FILTER))
-        errors.append(float((result.image[left] - alone.image[left]).abs().mean()))
+        difference = images(row, *before, switched)[-1] - images(row, switched)[0]
+        errors.append(float(difference[..., : SIZE.w // 2 - FILTER].abs().mean()))
     assert errors[1] < 0.01 * errors[0]
 
 

@@ -30,23 +30,15 @@ from methods.ours.gradients.exact_gradient import (
     round_systematically,
     true_gradient,
 )
-from methods.ours.gradients.measure import (
-    adam_step,
-    clipped_shares,
-    gradient_row,
-    write_tables,
-)
+from methods.ours.gradients.measure import adam_step, clipped_shares, gradient_row, write_tables
 from methods.ours.gradients.toy_problem import Direct, ToyProblem
 from methods.ours.policy import SamplerLearner
 from methods.ours.policy.joint_appo import joint_ratio, pixel_ratios
 from rlbench.checks.result import Verdict
 from rlbench.training.surrogate_gradient import relaxed_counts
+from tests.methods.test_stochastic_rounding import closed_form, make_generator
 
 EVERY_DENOISER = pytest.mark.parametrize("denoiser", DENOISERS.values(), ids=list(DENOISERS))
-
-
-def make_generator(seed: int = 0) -> torch.Generator:
-    return torch.Generator().manual_seed(seed)
 
 
 def problem_of(denoiser, spp: float, n: int = 1, seed: int = 0) -> ToyProblem:
@@ -134,16 +126,10 @@ def test_the_expected_error_is_that_of_the_benchmarks_allocation(denoiser, spp):
 
 
 def test_without_a_filter_the_gradient_has_a_closed_form():
-    """The slope of a pixel between m and m + 1 samples is e(m + 1) - e(m)."""
     problem = problem_of(Direct(), 2)
     action = problem.act().detach().double().requires_grad_()
     (gradient,) = torch.autograd.grad(expected_error(problem, action), action)
-    density = (1 + action.detach()) / 2
-    shares = 2 * density / density.mean()
-    variance, m = problem.frame.sigma.double().square(), shares.floor()
-    slope = variance / (m + 1.5) - variance / (m + 0.5)
-    centred = slope - (slope * density).sum() / density.sum()  # the budget is shared
-    expected = centred * (2 / density.mean()) / 2 / density.numel()
+    expected = closed_form(problem, action)
     torch.testing.assert_close(gradient, expected, rtol=1e-6, atol=1e-12)
 
 
@@ -308,16 +294,6 @@ def test_the_surrogate_is_twice_the_true_derivative():
 
 def test_the_surrogate_fades_where_pixels_have_no_sample():
     assert measure("surrogate per sample", "no filter", 0.25, 256).statistics.scale.value < 0.2
-
-
-@pytest.mark.slow
-def test_counts_in_the_denoiser_turn_the_surrogate_away_also_at_high_budgets():
-    plain, weighted = (
-        measure("surrogate", denoiser, 64, 128).statistics.cosine
-        for denoiser in ("fixed filter", "count-weighted filter")
-    )
-    assert plain.value > 0.98
-    assert weighted.value + weighted.margin < 0.9
 
 
 def test_a_baseline_reduces_the_noise_of_the_score_function():

@@ -13,12 +13,8 @@ from torch import nn
 
 from methods.ours.policy.joint_appo import JointAppo, Trajectory, vtrace
 from methods.ours.train import ActingMethod, episode_losses, training_task
-from rlbench import registry
 from rlbench.clips.procedural.clip import procedural_clip
 from rlbench.frames import Size
-from rlbench.training import TrainingConfig, train
-from rlbench.weights import digest
-from tests.conftest import write_noise
 
 CPU = torch.device("cpu")
 FRAMES, CHANNELS, SIDE = 3, 5, 16
@@ -230,28 +226,3 @@ def test_a_reward_is_ten_to_the_power_of_one_minus_the_loss(acting, monkeypatch)
     clip = procedural_clip(seed=1, size=Size(1, 32, 32), frames=2)
     losses = [float(loss.detach()) for loss in episode_losses(acting)(clip, 2.0)]
     assert [float(r) for r in rewards] == pytest.approx([10 ** (1 - loss) for loss in losses[:2]])
-
-
-class KilledError(Exception):
-    """Stands for a kill."""
-
-
-@pytest.mark.slow
-def test_a_killed_training_ends_as_an_undisturbed_one(tmp_path):
-    """Value and delayed sampler are in checkpoints; the weights file loads without them."""
-    clip = write_noise(tmp_path / "noise", h=24, w=24)
-    config = TrainingConfig(9, crop=16, sequence_length=3, eval_interval=3)
-
-    def run(out, sequences=None):
-        def kill(progress, loss):
-            if progress.sequences == sequences:
-                raise KilledError
-
-        train("ours/paper-appo", [clip], [clip], out, config, on_progress=kill)
-        return out / "paper-appo.safetensors"
-
-    with pytest.raises(KilledError):
-        run(tmp_path / "killed", 1)
-    resumed, undisturbed = run(tmp_path / "killed"), run(tmp_path / "undisturbed")
-    assert digest(resumed) == digest(undisturbed)
-    assert registry.load_method("ours/paper-appo", weights=str(resumed)).sampler is not None
