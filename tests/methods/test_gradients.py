@@ -329,18 +329,6 @@ def test_pixel_ratios_are_ratios_of_normal_densities():
     torch.testing.assert_close(joint_ratio(current, previous, action, 0.3), expected.sum().exp())
 
 
-def test_the_joint_ratio_is_that_of_rllib():
-    pytest.importorskip("gymnasium")
-    distributions = pytest.importorskip("ray.rllib.models.torch.torch_distributions")
-    current, previous, action = 0.1 * torch.randn(3, 4, 64, generator=make_generator())
-    deviation = torch.full_like(current, math.log(0.3))
-    new, old = (
-        distributions.TorchDiagGaussian.from_logits(torch.cat((mean, deviation), 1)).logp(action)
-        for mean in (current, previous)
-    )
-    torch.testing.assert_close(joint_ratio(current, previous, action, 0.3), (new - old).exp())
-
-
 @pytest.mark.parametrize("side", [16, 64, 128])
 def test_the_saturation_of_the_joint_ratio_is_that_of_its_normal_law(side):
     """The logarithm is normal: mean -v / 2 and variance v = pixels * (step / std)^2."""
