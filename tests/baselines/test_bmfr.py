@@ -11,11 +11,13 @@ from torch import Tensor
 
 from baselines.bmfr.method import MIN_NORMAL_COSINE, antialias, build
 from baselines.bmfr.regression import (
+    FEATURES,
     OFFSETS,
     RIDGE,
     feature_noise,
     fit_blocks,
     lay_blocks,
+    solve_least_squares,
     stack_features,
 )
 from rlbench.frames import GBuffer, Samples, Size
@@ -44,6 +46,17 @@ def run(frames: list[Moving], variant: str = "", **changed: float) -> list[Tenso
         image, state = method.denoise(each.gbuffer, one_sample(each.radiance), state)
         images.append(image)
     return images
+
+
+def test_least_squares_are_those_of_numpy():
+    features, values = random_tensor(5, FEATURES, 200), random_tensor(5, 3, 200, seed=1)
+    found = solve_least_squares(features, values, ridge=0.5)
+    regular = 0.5 * np.eye(FEATURES)
+    for block in range(5):
+        matrix = np.concatenate((features[block].T.double(), regular))
+        target = np.concatenate((values[block].T.double(), np.zeros((FEATURES, 3))))
+        expected = np.linalg.lstsq(matrix, target, rcond=None)[0]
+        np.testing.assert_allclose(found[block], expected, rtol=1e-3, atol=1e-4)  # float32
 
 
 @pytest.mark.parametrize("index", [0, 4, 9])

@@ -111,6 +111,14 @@ def test_the_image_is_the_librarys_on_random_input(variant, quality, size, sprea
     assert largest_relative_difference(noisy, expected) > 0.1  # the image was denoised
 
 
+def test_other_networks_of_equal_size_in_the_library_are_rejected(monkeypatch):
+    networks = extract.read_library_networks()[::-1]
+    monkeypatch.setattr(extract, "read_library_networks", lambda: networks)
+    extract.load_network.cache_clear()
+    found, expected = extract.load_network(), oidn.published_network()[0]
+    torch.testing.assert_close(found.state_dict(), expected.state_dict(), rtol=0, atol=0)
+
+
 def test_the_command_makes_the_shipped_files(tmp_path, capsys):
     extract.main([str(tmp_path)])
     written = [line.rpartition("/")[2] for line in capsys.readouterr().out.split()]
