@@ -9,6 +9,7 @@ import torch
 from torch import Tensor
 
 from rlbench.frames import GBuffer
+from tests.baselines.noise import array
 
 SIDE = 32
 FRAMES = 3
@@ -24,16 +25,16 @@ class Moving:
     @property
     def noisy(self) -> np.ndarray:
         """Radiance, [h w 3] in double precision."""
-        return _array(self.radiance)
+        return array(self.radiance)
 
     @property
     def arrays(self) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
         """Albedo, normal, depth without a channel axis, and motion, in double precision."""
         return (
-            _array(self.gbuffer.albedo),
-            _array(self.gbuffer.normal),
-            _array(self.gbuffer.depth)[..., 0],
-            _array(self.gbuffer.motion),
+            array(self.gbuffer.albedo),
+            array(self.gbuffer.normal),
+            array(self.gbuffer.depth)[..., 0],
+            array(self.gbuffer.motion),
         )
 
 
@@ -63,9 +64,5 @@ def frame(index: int) -> Moving:
     return Moving(GBuffer({k: _tensor(v) for k, v in buffers.items()}), _tensor(radiance))
 
 
-def _tensor(array: np.ndarray) -> Tensor:
-    return torch.from_numpy(array).float().permute(2, 0, 1)[None]
-
-
-def _array(image: Tensor) -> np.ndarray:
-    return image[0].permute(1, 2, 0).double().numpy()
+def _tensor(image: np.ndarray) -> Tensor:
+    return torch.from_numpy(image).float().permute(2, 0, 1)[None]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import numpy as np
 import torch
 from torch import Tensor, nn
 
@@ -20,9 +21,35 @@ def exponential_noise(*shape: int, seed: int = 0) -> Tensor:
     return -random_tensor(*shape, seed=seed).clamp_min(1e-6).log()
 
 
-def read_samples(frame: Frame, count: int = 8) -> Samples:
-    counts = torch.full_like(frame.gbuffer.depth, count, dtype=torch.int64)
-    return Samples(frame.pool.read(frame.pool.empty(), counts), counts)
+def array(image: Tensor) -> np.ndarray:
+    """[h w c] in double precision."""
+    return image[0].permute(1, 2, 0).double().numpy()
+
+
+def one_sample(radiance: Tensor) -> Samples:
+    """One sample in each pixel."""
+    n, _, h, w = radiance.shape
+    return Samples(radiance[:, None], torch.ones(n, 1, h, w, dtype=torch.int64))
+
+
+def read_samples(frame: Frame, count: int | Tensor = 8) -> Samples:
+    """The same number in each pixel, or the given counts."""
+    empty = frame.pool.empty()
+    counts = empty.counts + count
+    return Samples(frame.pool.read(empty, counts), counts)
+
+
+def wall(h: int, w: int, motion: Tensor | None = None, **changed: Tensor) -> GBuffer:
+    """The G-buffer of a white wall that faces the camera."""
+    buffers = {
+        "albedo": torch.ones(1, 3, h, w),
+        "normal": torch.tensor([0.0, 0.0, 1.0]).view(1, 3, 1, 1).repeat(1, 1, h, w),
+        "depth": torch.full((1, 1, h, w), 5.0),
+        **changed,
+    }
+    if motion is not None:
+        buffers["motion"] = motion
+    return GBuffer(buffers, static=motion is None)
 
 
 def noisy_clip(frames: int = 3, size: Size = SMALL, seed: int = 0) -> InMemoryClip:

@@ -26,18 +26,10 @@ from rlbench.ops.demodulation import reflectance, surface_mask
 from rlbench.ops.surface_taps import find_surface_taps
 from tests.baselines import regression_twins as twins
 from tests.baselines.moving import FRAMES, Moving, frame
-from tests.baselines.noise import random_tensor
+from tests.baselines.noise import array, one_sample, random_tensor
 
 CPU = torch.device("cpu")
-
-
-def array(image: Tensor) -> np.ndarray:
-    return image[0].permute(1, 2, 0).double().numpy()
-
-
-def one_sample(radiance: Tensor) -> Samples:
-    n, _, h, w = radiance.shape
-    return Samples(radiance[:, None], torch.ones(n, 1, h, w, dtype=torch.int64))
+FLAT = torch.ones(1, 1, 5, 7), torch.ones(1, 3, 5, 7) / 3**0.5  # depth and normal
 
 
 def surface_of(gbuffer: GBuffer) -> tuple[Tensor, Tensor, Tensor]:
@@ -93,18 +85,6 @@ def test_blocks_at_every_offset_hold_every_pixel(index):
     image = torch.arange(45 * 61.0).view(1, 1, 45, 61)
     blocks = lay_blocks(torch.tensor([index]), 45, 61)
     assert torch.equal(blocks.scatter(blocks.gather(image), 45, 61), image)
-
-
-def test_light_that_features_explain_comes_back_unchanged():
-    """Without noise on the features, and for every mixture of them that is not negative."""
-    moving = frame(0)
-    surface, depth, normal = surface_of(moving.gbuffer)
-    features = stack_features(normal, depth)
-    light = (features[:, :, None] * random_tensor(1, FEATURES, 3, 1, 1)).sum(1)
-    light = light + 20  # normals and positions have either sign
-    fitted = fit_blocks(light, features, surface, torch.tensor([3]), noise=0.0)
-    found, expected = (part.where(surface, 0.0) for part in (fitted, light))
-    torch.testing.assert_close(found, expected, rtol=2e-3, atol=2e-3)  # of float32 and the ridge
 
 
 def test_every_frame_equals_plain_loops():
@@ -200,13 +180,8 @@ def test_taps_on_the_surface_are_those_of_loops():
     first, second = frame(0), frame(1)
     (_, *before), (_, *now) = surface_of(first.gbuffer), surface_of(second.gbuffer)
     taps = find_surface_taps(second.gbuffer.motion, tuple(now), tuple(before), 0.9)
-    depth, normal = (
-        [array(part)[..., 0] if i == 0 else array(part) for part in pair]
-        for i, pair in enumerate(zip(now, before, strict=True))
-    )
-    expected = twins.surface_taps(
-        second.arrays[3], (depth[0], normal[0]), (depth[1], normal[1]), 0.9
-    )
+    pairs = [(array(depth)[..., 0], array(normal)) for depth, normal in (now, before)]
+    expected = twins.surface_taps(second.arrays[3], *pairs, 0.9)
     image = random_tensor(1, 5, 32, 32)
     np.testing.assert_allclose(
         array(taps.gather(image)), twins.gather(array(image), expected), atol=1e-6
@@ -215,16 +190,14 @@ def test_taps_on_the_surface_are_those_of_loops():
 
 
 def test_nothing_that_moves_is_the_same_as_no_motion():
-    surface = torch.ones(1, 1, 5, 7), torch.ones(1, 3, 5, 7) / 3**0.5
-    still = [find_surface_taps(m, surface, surface, 0.9) for m in (None, torch.zeros(1, 2, 5, 7))]
+    still = [find_surface_taps(m, FLAT, FLAT, 0.9) for m in (None, torch.zeros(1, 2, 5, 7))]
     image = random_tensor(1, 3, 5, 7)
     assert all(torch.equal(taps.gather(image), image) for taps in still)
 
 
 @pytest.mark.parametrize("offset", [-1e30, 100.0, float("nan"), float("inf")])
 def test_motion_from_outside_gives_no_taps(offset):
-    surface = torch.ones(1, 1, 5, 7), torch.ones(1, 3, 5, 7) / 3**0.5
-    taps = find_surface_taps(torch.full((1, 2, 5, 7), offset), surface, surface, 0.9)
+    taps = find_surface_taps(torch.full((1, 2, 5, 7), offset), FLAT, FLAT, 0.9)
     assert not taps.valid.any()
 
 

@@ -22,12 +22,11 @@ from rlbench.ops.padded_rows import PaddedRows
 from rlbench.run import FrameResult, run_clip
 from tests.baselines import wavelet_twins
 from tests.baselines.moving import frame
+from tests.baselines.noise import array, one_sample, random_tensor, wall
 
 
 def denoise(gbuffer: GBuffer, radiance: Tensor, config: Config = Config()) -> Tensor:  # noqa: B008
-    n, _, h, w = radiance.shape
-    samples = Samples(radiance[:, None], torch.ones(n, 1, h, w, dtype=torch.int64))
-    return Eaw(config).denoise(gbuffer, samples, None)[0]
+    return Eaw(config).denoise(gbuffer, one_sample(radiance), None)[0]
 
 
 @pytest.mark.parametrize(
@@ -35,7 +34,7 @@ def denoise(gbuffer: GBuffer, radiance: Tensor, config: Config = Config()) -> Te
 )
 def test_a_frame_equals_plain_loops(config):
     moving = frame(0)
-    image = denoise(moving.gbuffer, moving.radiance, config)[0].permute(1, 2, 0)
+    image = array(denoise(moving.gbuffer, moving.radiance, config))
     expected = wavelet_twins.eaw(
         moving.noisy, moving.arrays, config.phi_color, config.phi_normal, config.phi_depth
     )
@@ -52,63 +51,12 @@ def test_constant_irradiance_is_unchanged(seed, light):
     torch.testing.assert_close(denoise(gbuffer, lit), lit, rtol=1e-5, atol=1e-6)  # float32 sums
 
 
-def test_infinite_widths_give_the_spline_of_each_pass():
-    """Two dilated convolutions, compared away from the border."""
-    wide = Config(passes=2, phi_color=1e12, phi_normal=1e12, phi_depth=1e12)
-    radiance = torch.rand(1, 3, 17, 19, generator=torch.Generator().manual_seed(0))
-    buffers = {"albedo": torch.ones_like(radiance), "normal": torch.ones_like(radiance)}
-    gbuffer = GBuffer({**buffers, "depth": torch.ones(1, 1, 17, 19)})
-    kernel = torch.tensor([1.0, 4.0, 6.0, 4.0, 1.0]) / 16
-    kernel = (kernel[:, None] * kernel).expand(3, 1, 5, 5)
-    once = torch.nn.functional.conv2d(radiance, kernel, groups=3)
-    expected = torch.nn.functional.conv2d(once, kernel, groups=3, dilation=2)
-    image = denoise(gbuffer, radiance, wide)[..., 6:-6, 6:-6]
-    torch.testing.assert_close(image, expected, rtol=1e-5, atol=1e-6)  # float32 sums
-
-
-def test_background_and_emitters_are_not_filtered():
-    moving = frame(0)
-    unfiltered = (moving.gbuffer.albedo == 0).all(1, keepdim=True).expand_as(moving.radiance)
-    assert unfiltered.any()
-    assert torch.equal(
-        denoise(moving.gbuffer, moving.radiance)[unfiltered], moving.radiance[unfiltered]
-    )
-
-
-def test_a_depth_edge_is_preserved():
-    half = torch.arange(16) < 8
-    radiance = torch.where(half, 1.0, 5.0).expand(1, 3, 16, 16)
-    depth = torch.where(half, 2.0, 4.0).expand(1, 1, 16, 16)
-    gbuffer = GBuffer(
-        {"albedo": torch.ones(1, 3, 16, 16), "normal": torch.ones(1, 3, 16, 16), "depth": depth}
-    )
-    torch.testing.assert_close(denoise(gbuffer, radiance), radiance)
-
-
-def test_a_pass_filters_images_of_a_batch_independently():
-    source = torch.Generator().manual_seed(0)
-    features, irradiance = (torch.rand(2, c, 9, 11, generator=source) for c in (7, 3))
-
-    def filter_images(images: slice) -> Tensor:
-        rows = PaddedRows(len(features[images]), 9, 11, margin=4)
-        return rows.unpack(
-            atrous_pass(
-                rows, 2, rows.pack(features[images], fill=1e4), rows.pack(irradiance[images])
-            )
-        )
-
-    single = torch.cat((filter_images(slice(0, 1)), filter_images(slice(1, 2))))
-    torch.testing.assert_close(filter_images(slice(0, 2)), single)
-
-
 @pytest.mark.parametrize("step", [1, 4])
 def test_chunks_of_a_row_do_not_change_a_bit(monkeypatch, step):
     """Else a window of an image would differ from the image."""
-    source = torch.Generator().manual_seed(0)
-    features, irradiance = (torch.rand(1, c, 40, 50, generator=source) for c in (7, 3))
-    rows = PaddedRows(1, 40, 50, margin=8)
+    rows, images = PaddedRows(1, 40, 50, margin=8), []
+    features, irradiance = random_tensor(1, 7, 40, 50), random_tensor(1, 3, 40, 50, seed=1)
     packed = rows.pack(features, fill=1e4), rows.pack(irradiance)
-    images = []
     for size in (1 << 16, 700, 130):
         monkeypatch.setattr("rlbench.ops.padded_rows.CHUNK_PIXELS", size)
         images.append(rows.unpack(atrous_pass(rows, step, *packed)))
@@ -192,14 +140,10 @@ def test_a_still_scene_converges():
 
 
 def test_old_light_weighs_at_most_64_samples():
-    white = torch.ones(1, 3, 8, 8)
-    gbuffer = GBuffer(
-        {"albedo": white, "normal": white * 3**-0.5, "depth": white[:, :1]}, static=True
-    )
-    samples = Samples(3 * white[:, None], torch.ones(1, 1, 8, 8, dtype=torch.int64))
-    start = Still().start(Size(1, 8, 8))
-    surface = Still().denoise(gbuffer, samples, start)[1].surface
-    _, state = Still().denoise(gbuffer, samples, StillPixels(white, 1000 * white[:, :1], surface))
+    white, still, gbuffer = torch.ones(1, 3, 8, 8), Still(), wall(8, 8)
+    surface = still.denoise(gbuffer, one_sample(white), still.start(Size(1, 8, 8)))[1].surface
+    before = StillPixels(white, 1000 * white[:, :1], surface)
+    _, state = still.denoise(gbuffer, one_sample(3 * white), before)
     torch.testing.assert_close(state.radiance, white * (MAX_SPP + 3) / (MAX_SPP + 1))
     assert torch.equal(state.spp, 1001 * white[:, :1])
 
@@ -210,7 +154,7 @@ def test_a_hole_is_filled_from_pixels_of_its_kind(kind):
     left = (torch.arange(16) < 8).expand(1, 1, 16, 16)
     albedo = torch.where(left, 1.0, 0.0).expand(1, 3, 16, 16)
     depth = torch.where(left, 1.0, torch.inf)
-    gbuffer = GBuffer({"albedo": albedo, "normal": albedo * 3**-0.5, "depth": depth}, static=True)
+    gbuffer = wall(16, 16, albedo=albedo, normal=albedo * 3**-0.5, depth=depth)
     counts = torch.ones(1, 1, 16, 16, dtype=torch.int64)
     counts[..., 5, 7] = counts[..., 5, 8] = 0
     light = torch.where(left, 2.0, 5.0).expand(1, 3, 16, 16)

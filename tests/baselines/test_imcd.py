@@ -1,4 +1,4 @@
-"""IMCD: its filter against loops and box filters, its history, and its training."""
+"""IMCD: its filter against loops, its history, and its training."""
 
 from __future__ import annotations
 
@@ -9,10 +9,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import torch
-from scipy import ndimage
 from torch import Tensor
 
-from baselines.accumulate.memory import LightHistory
 from baselines.imcd.method import Config, Imcd, build
 from baselines.imcd.network import (
     EMBEDDING,
@@ -23,71 +21,33 @@ from baselines.imcd.network import (
     apply_affinity_kernels,
 )
 from baselines.imcd.train import losses, sharpness_penalty, training_task
-from rlbench.frames import GBuffer, Samples, Size
-from rlbench.ops.demodulation import demodulation_albedo, filtered_albedo
+from rlbench.frames import GBuffer
 from rlbench.run import run_clip
-from tests.baselines.noise import noisy_clip, random_tensor, read_samples
+from tests.baselines.noise import SMALL, noisy_clip, random_tensor, read_samples
 
 CPU = torch.device("cpu")
-SIZE = Size(1, 16, 16)
-SMALL = KernelSizes(spatial=5, temporal=3)
+SMALL_KERNELS = KernelSizes(spatial=5, temporal=3)
 
 
-def kernels(h: int, w: int, sharpness: float | None = None, keep: float = 0.0) -> Kernels:
-    """Random kernels; with a given `sharpness`, constant sharpness and centre weights of 1."""
-    random_sharpness = 3 * random_tensor(1, 3, 1, h, w, seed=6)
-    constant_sharpness = torch.full_like(random_sharpness, sharpness or 0.0)
-    is_random = sharpness is None
+def kernels(h: int, w: int) -> Kernels:
     return Kernels(
         features=random_tensor(1, 3, 8, h, w, seed=5),
-        sharpness=random_sharpness if is_random else constant_sharpness,
-        centre_weight=random_tensor(1, 3, 1, h, w, seed=7)
-        if is_random
-        else torch.ones(1, 3, 1, h, w),
+        sharpness=3 * random_tensor(1, 3, 1, h, w, seed=6),
+        centre_weight=random_tensor(1, 3, 1, h, w, seed=7),
         temporal_sharpness=3 * random_tensor(1, 1, h, w, seed=8),
-        history_weight=torch.full((1, 1, h, w), keep),
+        history_weight=torch.zeros(1, 1, h, w),
     )
 
 
 @pytest.fixture(scope="module")
 def method() -> Imcd:
-    return replace(build("", CPU, "random"), config=Config(SMALL))
+    return replace(build("", CPU, "random"), config=Config(SMALL_KERNELS))
 
 
 @pytest.fixture(scope="module")
 def trainable() -> Imcd:
     """IMCD with trainable weights and small kernels, for speed."""
-    method = training_task("", CPU, seed=0).method
-    assert isinstance(method, Imcd)
-    return replace(method, config=Config(SMALL))
-
-
-@pytest.mark.parametrize("side", [5, 11])
-def test_without_sharpness_the_filter_is_three_dilated_boxes(side: int) -> None:
-    irradiance = random_tensor(1, 3, 40, 30)
-    expected = irradiance[0].double().numpy()
-    for dilation in (1, 2, 4):
-        reach = side // 2 * dilation
-        box = np.zeros((1, 2 * reach + 1, 2 * reach + 1))
-        box[:, ::dilation, ::dilation] = 1
-        total, area = (
-            ndimage.correlate(image, box, mode="constant")
-            for image in (expected, np.ones_like(expected))
-        )
-        expected = total / area
-    filtered = apply_affinity_kernels(
-        irradiance, kernels(40, 30, sharpness=0.0), None, KernelSizes(side)
-    )
-    # float32 sums of up to 121 terms, three times
-    np.testing.assert_allclose(filtered[0].numpy(), expected, rtol=1e-5)
-
-
-def test_the_filter_is_the_identity_where_features_differ() -> None:
-    irradiance = random_tensor(1, 3, 20, 20)
-    filtered = apply_affinity_kernels(
-        irradiance, kernels(20, 20, sharpness=1e6), None, KernelSizes()
-    )
-    torch.testing.assert_close(filtered, irradiance, rtol=1e-6, atol=0)  # the last bit of float32
+    return replace(training_task("", CPU, seed=0).method, config=Config(SMALL_KERNELS))
 
 
 def filter_in_loops(
@@ -110,10 +70,7 @@ def filter_in_loops(
                 weight = centre[k, 0, y, x] if (v, u) == (y, x) else weight
                 total, weights = total + weight * before[:, v, u], weights + weight
             if previous is not None and k == 2:
-                remembered, old = (
-                    previous.features[0].double().numpy(),
-                    previous.denoised[0].double().numpy(),
-                )
+                remembered, old = (part[0].double().numpy() for part in previous[:2])
                 for v, u in _window(kernel_sizes.temporal, y, x, 1, h, w):
                     distance = ((features[2, :, y, x] - remembered[:, v, u]) ** 2).sum()
                     weight = np.exp(-float(predicted.temporal_sharpness[0, 0, y, x]) * distance)
@@ -137,91 +94,51 @@ def test_the_filter_equals_plain_loops(has_history: bool) -> None:
         random_tensor(1, 8, 12, 12, seed=10), random_tensor(1, 3, 12, 12, seed=11), weight
     )
     previous = previous if has_history else None
-    expected = filter_in_loops(irradiance, predicted, previous, SMALL)
-    filtered = apply_affinity_kernels(irradiance, predicted, previous, SMALL)
+    expected = filter_in_loops(irradiance, predicted, previous, SMALL_KERNELS)
+    filtered = apply_affinity_kernels(irradiance, predicted, previous, SMALL_KERNELS)
     np.testing.assert_allclose(filtered[0].numpy(), expected, rtol=1e-5)  # float32, 34 terms
 
 
-def test_the_mean_over_valid_slots_is_the_plain_mean() -> None:
-    encoder, colours, gbuffer = (
-        Encoder(),
-        random_tensor(2, 8, 3, 6, 7),
-        random_tensor(2, 7, 6, 7, seed=1),
-    )
-    all_valid = torch.ones(2, 8, 1, 6, 7, dtype=torch.bool)
-    samples = torch.cat((colours, gbuffer[:, None].expand(-1, 8, -1, -1, -1)), 2)
-    expected = encoder.embed(samples.flatten(0, 1)).unflatten(0, (2, 8)).mean(1)
-    # float32 sums of eight
-    torch.testing.assert_close(encoder(colours, gbuffer, all_valid), expected, rtol=1e-5, atol=1e-6)
-
-
-def test_empty_slots_have_no_effect() -> None:
-    encoder, colours, gbuffer = (
-        Encoder(),
-        random_tensor(1, 8, 3, 6, 7),
-        random_tensor(1, 7, 6, 7, seed=1),
-    )
+def test_the_mean_embedding_is_that_of_valid_slots() -> None:
+    encoder = Encoder()
+    colours, gbuffer = random_tensor(2, 8, 3, 6, 7), random_tensor(2, 7, 6, 7, seed=1)
     valid = torch.arange(8).view(1, 8, 1, 1, 1) < 1 + torch.arange(7)
-    other = colours.where(valid, 5.0)
-    valid = valid.expand(1, 8, 1, 6, 7)
-    assert torch.equal(encoder(colours, gbuffer, valid), encoder(other, gbuffer, valid))
+    valid = valid.expand(2, 8, 1, 6, 7)
+    samples = torch.cat((colours, gbuffer[:, None].expand(-1, 8, -1, -1, -1)), 2)
+    each = encoder.embed(samples.flatten(0, 1)).unflatten(0, (2, 8))
+    expected = (each * valid).sum(1) / valid.sum(1)
+    # float32 sums of eight
+    torch.testing.assert_close(encoder(colours, gbuffer, valid), expected, rtol=1e-5, atol=1e-6)
 
 
-def test_a_repeated_frame_keeps_its_features(method: Imcd) -> None:
+def test_a_repeated_frame_keeps_its_features_and_is_blended_with_the_first(method: Imcd) -> None:
     frame = noisy_clip().frames[0]
-    still = replace(frame.gbuffer, static=True)
-    _, first = method.denoise(still, read_samples(frame), method.start(SIZE))
-    _, second = method.denoise(still, read_samples(frame), first)
+    still, samples = replace(frame.gbuffer, static=True), read_samples(frame)
+    _, first = method.denoise(still, samples, method.start(SMALL))
+    _, second, predicted = method.denoise_with_kernels(still, samples, first)
     assert torch.equal(first.irradiance, second.irradiance)
     assert torch.equal(first.features, second.features)
-
-
-def test_a_repeated_frame_is_blended_with_the_first(method: Imcd) -> None:
-    frame = noisy_clip().frames[0]
-    still = replace(frame.gbuffer, static=True)
-    _, first = method.denoise(still, read_samples(frame), method.start(SIZE))
-    _, second, predicted = method.denoise_with_kernels(still, read_samples(frame), first)
-    previous = PreviousFrame(
-        first.features[:, EMBEDDING:], first.denoised, torch.ones(1, 1, 16, 16)
-    )
-    expected = apply_affinity_kernels(
-        first.irradiance, predicted, previous, method.config.kernel_sizes
-    )
+    remembered, weight = first.features[:, EMBEDDING:], torch.ones(1, 1, 16, 16)
+    previous = PreviousFrame(remembered, first.denoised, weight)
+    sizes = method.config.kernel_sizes
+    expected = apply_affinity_kernels(first.irradiance, predicted, previous, sizes)
     assert torch.equal(second.denoised, expected)
     assert not torch.equal(second.denoised, first.denoised)
 
 
-@pytest.mark.parametrize("age", [0, 1], ids=["without history", "with history"])
-def test_constant_irradiance_stays_constant(method: Imcd, age: int) -> None:
-    """Weights sum to one."""
-    gbuffer = noisy_clip().frames[0].gbuffer
-    reflectance = demodulation_albedo(filtered_albedo(gbuffer.albedo))
-    samples = Samples((0.7 * reflectance)[:, None], torch.ones(1, 1, 16, 16, dtype=torch.int64))
-    before = LightHistory(*(torch.full((1, c, 16, 16), 0.7) for c in (3, 3, 40)), age)
-    image, state = method.denoise(gbuffer, samples, before)
-    # float32 sums of 242 weights, and one division by reflectance
-    torch.testing.assert_close(
-        state.denoised, torch.full_like(state.denoised, 0.7), rtol=1e-5, atol=0
-    )
-    torch.testing.assert_close(image, 0.7 * reflectance, rtol=1e-5, atol=0)
-
-
-def test_emitters_with_black_albedo_keep_their_radiance() -> None:
+def test_emitters_with_black_albedo_keep_their_radiance(method: Imcd) -> None:
     """Dividing by 0.01 would make them a hundred times as bright as their neighbours."""
     frame = noisy_clip().frames[0]
     black = GBuffer({**frame.gbuffer.buffers, "albedo": torch.zeros(1, 3, 16, 16)})
-    method = build("", CPU, "random")
-    _, state = method.denoise(black, read_samples(frame), method.start(SIZE))
-    mean = read_samples(frame).mean
-    torch.testing.assert_close(
-        state.irradiance, mean / 1.01, rtol=1e-5, atol=0
-    )  # float32 sums of 8
+    samples = read_samples(frame)
+    _, state = method.denoise(black, samples, method.start(SMALL))
+    # float32 sums of 8
+    torch.testing.assert_close(state.irradiance, samples.mean / 1.01, rtol=1e-5, atol=0)
 
 
 def test_the_sharpness_penalty_is_the_mean_of_squares() -> None:
-    predicted = kernels(4, 4, sharpness=2.0)._replace(
-        temporal_sharpness=torch.full((1, 1, 4, 4), 3.0)
-    )
+    two, three = torch.full((1, 3, 1, 4, 4), 2.0), torch.full((1, 1, 4, 4), 3.0)
+    predicted = kernels(4, 4)._replace(sharpness=two, temporal_sharpness=three)
     assert float(sharpness_penalty(predicted)) == pytest.approx(2.0**2 + 3.0**2)
 
 
@@ -249,7 +166,6 @@ from baselines.imcd.method import build
 from rlbench.frames import Size
 from rlbench.clips.procedural.clip import procedural_clip
 from rlbench.run import run_clip
-from tests.baselines.noise import noisy_clip, random_tensor, read_samples
 
 peak = lambda: resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
 method = build("", torch.device("cpu"), "random")

@@ -1,17 +1,25 @@
-"""OIDN: network sizes of the original, equivariance to exposure, and training."""
+"""OIDN: exposure, range, training; rows of other ideas that start from Intel's weights."""
 
 from __future__ import annotations
 
+from itertools import islice
+
 import pytest
 import torch
+from torch import Tensor
 
-from baselines.oidn.method import Oidn, build, to_radiance
+from baselines.oidn.method import Oidn, published_network, to_radiance, widen
 from baselines.oidn.train import _frame_loss, training_task
+from rlbench import registry
 from rlbench.clips.in_memory import InMemoryClip
-from rlbench.frames import Frame, GBuffer, Reference, Samples, StoredPool
+from rlbench.clips.procedural.clip import procedural_clip
+from rlbench.errors import PluginError
+from rlbench.frames import Frame, GBuffer, Reference, Size, StoredPool
 from rlbench.ops.exposure import autoexposure
 from rlbench.ops.transfer import pu_forward
+from rlbench.ops.unet import UNet
 from rlbench.run import run_clip
+from tests.baselines.noise import read_samples
 
 CPU = torch.device("cpu")
 
@@ -31,40 +39,9 @@ def clip(h: int = 21, w: int = 35, frames: int = 1, gain: float = 1.0, n: int = 
     return InMemoryClip("clip", "clip", "", clip_frames)
 
 
-@pytest.mark.parametrize("gain", [2.0**-5, 3.0, 2.0**7])
-def test_the_image_scales_with_the_radiance(gain):
-    method = build("", CPU, "random")
-    (plain,) = run_clip(method, clip(), 2.0)
-    (scaled,) = run_clip(method, clip(gain=gain), 2.0)
-    assert plain.image.max() > plain.image.min()
-    # exposure in float32, then a logarithm and an exponential with 16 nats between 0 and 1
-    torch.testing.assert_close(scaled.image / gain, plain.image, rtol=2e-3, atol=1e-5)
-
-
-@pytest.mark.parametrize("bad", [float("nan"), float("inf"), -1.0, 0.0])
-def test_invalid_radiance_gives_a_finite_image(bad):
-    (frame,) = clip()
-    samples = Samples(torch.full((1, 8, 3, 21, 35), bad), torch.full((1, 1, 21, 35), 8))
-    image, _ = build("", CPU, "random").denoise(frame.gbuffer, samples, None)
-    assert torch.isfinite(image).all()
-
-
 def test_output_out_of_range_gives_radiance_within_half_floats():
     image = to_radiance(torch.tensor([-1e4, 1e4]).expand(1, 3, 2, 2), torch.ones(1, 1, 1, 1))
     assert ((image >= 0) & (image <= 65504 * 1.001)).all()  # PU in float32
-
-
-def test_negative_radiance_counts_as_zero():
-    (frame,) = clip()
-    counts = torch.full((1, 1, 21, 35), 8)
-    radiance = frame.pool.read(frame.pool.empty(), counts)
-    radiance[..., :5] = 0
-    lower = radiance.clone()
-    lower[..., :5] = -1
-    method = build("", CPU, "random")
-    expected, _ = method.denoise(frame.gbuffer, Samples(radiance, counts), None)
-    image, _ = method.denoise(frame.gbuffer, Samples(lower, counts), None)
-    assert torch.equal(image, expected)
 
 
 class IdentityNetwork(torch.nn.Module):
@@ -79,7 +56,7 @@ def test_an_identity_network_gives_the_mean_of_the_samples():
     """Exposure, transfer and padding are undone."""
     (frame,) = clip()
     (result,) = run_clip(Oidn(IdentityNetwork()), clip(), 8.0)
-    mean = frame.pool.read(frame.pool.empty(), torch.full((1, 1, 21, 35), 8)).mean(1)
+    mean = read_samples(frame).mean
     torch.testing.assert_close(result.image, mean, rtol=2e-4, atol=1e-6)  # PU in float32
 
 
@@ -97,23 +74,22 @@ def test_the_network_reads_exposed_colour_albedo_and_normals_in_zero_to_one():
     torch.testing.assert_close(normal[0, :, 0, -1], torch.tensor([0.8, 0.5, 0.1]))
 
 
-def test_the_loss_of_a_perfect_output_is_zero():
-    """A noise-free pool, an identity network, and the exposure of the reference."""
+def training_loss(network: IdentityNetwork, gain: float) -> tuple[Tensor, Tensor]:
+    """The loss where all samples are `gain` times the reference, and the reference."""
     (frame,) = clip(32, 32)
-    pool = StoredPool(frame.reference.mean[:, None].expand(-1, 8, -1, -1, -1), (0,))
+    reference = frame.reference.mean
+    pool = StoredPool(gain * reference[:, None].expand(-1, 8, -1, -1, -1), (0,))
     noise_free = InMemoryClip("", "", "", [Frame(0, frame.gbuffer, pool, frame.reference)])
-    assert float(_frame_loss(Oidn(IdentityNetwork()), noise_free, 4.0)) < 1e-5  # float32 moments
+    return _frame_loss(Oidn(network), noise_free, 4.0), reference
+
+
+def test_the_loss_of_a_perfect_output_is_zero():
+    assert float(training_loss(IdentityNetwork(), 1.0)[0]) < 1e-5  # float32 moments
 
 
 def test_exposure_in_training_comes_from_the_reference():
-    (frame,) = clip(32, 32)
-    reference, network = frame.reference.mean, IdentityNetwork()
-    dark = StoredPool(0.1 * reference[:, None].expand(-1, 8, -1, -1, -1), (0,))
-    _frame_loss(
-        Oidn(network),
-        InMemoryClip("", "", "", [Frame(0, frame.gbuffer, dark, frame.reference)]),
-        4.0,
-    )
+    network = IdentityNetwork()
+    _, reference = training_loss(network, 0.1)
     expected = pu_forward(0.1 * reference * autoexposure(reference))
     torch.testing.assert_close(network.input[:, :3], expected)
 
@@ -125,3 +101,37 @@ def test_tuning_starts_from_intels_weights():
     theirs, ours = load_network().state_dict(), training_task("tuned", CPU, 0).networks.state_dict()
     assert all(torch.equal(ours[name], theirs[name]) for name in theirs)
     assert training_task("tuned", CPU, 0).max_lr < training_task("retrained", CPU, 0).max_lr
+
+
+@pytest.mark.parametrize("name", ["ntas/intel", "dasr/intel"])
+def test_new_inputs_and_the_sampler_get_a_gradient(name):
+    task = registry.training_task(name)
+    before = {key: value.clone() for key, value in task.networks.state_dict().items()}
+    optimizer = torch.optim.SGD(task.networks.parameters(), 1e-3)
+    for loss in islice(task.losses(procedural_clip(3, Size(1, 48, 64), 2), 4.0), 2):
+        optimizer.zero_grad()
+        loss.backward()
+        optimizer.step()
+
+    def moved(key: str, new: slice) -> Tensor:
+        return (task.networks.state_dict()[key] - before[key])[:, new].abs().sum()
+
+    assert moved("sampler.dec_conv0.weight", slice(None)) > 0
+    if name == "ntas/intel":
+        assert moved("denoiser.enc_conv0.weight", slice(9, None)) > 0
+
+
+def test_a_wider_network_computes_what_its_source_does_whatever_its_new_inputs():
+    source, wide = published_network()[0], UNet(12, 5, seed=1)
+    fresh = wide.dec_conv0.weight[3:].clone()
+    widen(wide, source)
+    features, more = torch.rand(1, 9, 32, 32), torch.rand(1, 3, 32, 32)
+    with torch.no_grad():
+        output = wide(torch.cat((features, more), 1))
+        torch.testing.assert_close(output[:, :3], source(features), rtol=1e-4, atol=1e-5)
+    assert torch.equal(wide.dec_conv0.weight[3:], fresh)
+
+
+def test_without_weights_the_error_names_the_training():
+    with pytest.raises(PluginError, match="rlbench train -m ntas/intel"):
+        registry.load_method("ntas/intel")

@@ -6,7 +6,6 @@ from itertools import product
 
 import pytest
 import torch
-from torch import Tensor
 
 from baselines.oidn.method import Oidn
 from baselines.oidn.sparse import (
@@ -20,47 +19,26 @@ from baselines.oidn.sparse import (
 )
 from rlbench import registry
 from rlbench.clips.procedural.clip import procedural_clip
-from rlbench.frames import GBuffer, Samples, Size
+from rlbench.frames import Samples, Size
 from rlbench.ops.accumulation import feature_similarity
 from rlbench.run import run_clip
+from tests.baselines.noise import one_sample, random_tensor, wall
 
 
 class Identity:
     """A denoiser that shows the mean of its samples."""
 
-    traits = Oidn.traits
-
-    def start(self, size):
-        return None
-
-    def plan(self, gbuffer, samples, state):
-        return torch.ones_like(samples.mean[:, :1])
-
     def denoise(self, gbuffer, samples, state):
         return samples.mean, state
 
 
-def noise(*size: int, seed: int = 0) -> Tensor:
-    return torch.rand(size, generator=torch.Generator().manual_seed(seed))
-
-
-def wall(h: int, w: int, albedo: Tensor | None = None) -> GBuffer:
-    """A grey wall that faces the camera, or one with another albedo."""
-    grey = torch.full((1, 3, h, w), 0.5)
-    normal = torch.tensor([0.0, 0.0, 1.0]).view(1, 3, 1, 1).repeat(1, 1, h, w)
-    buffers = {"albedo": grey if albedo is None else albedo, "normal": normal}
-    return GBuffer({**buffers, "depth": torch.full((1, 1, h, w), 5.0)})
-
-
-def sparse(radiance: Tensor, seed: int = 1) -> Samples:
-    """One sample in about half of the pixels, none in the others."""
-    counts = (noise(1, 1, *radiance.shape[-2:], seed=seed) < 0.5).long()
-    return Samples((radiance * counts)[:, None], counts)
-
-
 def test_joint_upsampling_equals_a_loop():
     h, w = 7, 10
-    image, coarse, fine = noise(1, 2, 4, 5), noise(1, 7, 4, 5, seed=1), noise(1, 7, h, w, seed=2)
+    image, coarse, fine = (
+        random_tensor(1, 2, 4, 5),
+        random_tensor(1, 7, 4, 5, seed=1),
+        random_tensor(1, 7, h, w, seed=2),
+    )
     expected = torch.zeros(1, 2, h, w)
     for y, x in product(range(h), range(w)):
         total, weights = torch.zeros(2), 0.0
@@ -88,10 +66,12 @@ def taps(index: int, count: int) -> list[tuple[int, float]]:
 @pytest.mark.parametrize("wrapper", [FilledHoles, HalfResolution])
 def test_constant_light_on_a_texture_is_exact_from_half_of_the_samples(wrapper):
     """Radiance in proportion to albedo + 0.01, the factor of demodulation, in odd sizes."""
-    albedo = noise(1, 3, 33, 47).clamp_min(0.05)
+    albedo = random_tensor(1, 3, 33, 47).clamp_min(0.05)
     truth = 2.0 * (albedo + 0.01)
     method = wrapper(Identity(), Oidn.traits)
-    image, _ = method.denoise(wall(33, 47, albedo), sparse(truth), None)
+    counts = (random_tensor(1, 1, 33, 47, seed=1) < 0.5).long()
+    sparse = Samples((truth * counts)[:, None], counts)
+    image, _ = method.denoise(wall(33, 47, albedo=albedo), sparse, None)
     if wrapper is FilledHoles:
         torch.testing.assert_close(image, truth, rtol=1e-4, atol=1e-5)
     else:  # a coarse pixel has the mean texture of four, but samples of some of them only
@@ -104,8 +84,8 @@ def test_light_does_not_leak_over_the_edge_of_a_surface():
     gbuffer.buffers["normal"][..., 8:] = torch.tensor([1.0, 0.0, 0.0]).view(1, 3, 1, 1)
     radiance = torch.ones(1, 3, 16, 16)
     radiance[..., 8:] = 0.0
-    samples = Samples(radiance[:, None], torch.ones(1, 1, 16, 16, dtype=torch.int64))
-    image, _ = HalfResolution(Identity(), Oidn.traits).denoise(gbuffer, samples, None)
+    half = HalfResolution(Identity(), Oidn.traits)
+    image, _ = half.denoise(gbuffer, one_sample(radiance), None)
     torch.testing.assert_close(image, radiance, rtol=0.02, atol=0.02)  # e^-4 is the similarity
 
 
@@ -122,12 +102,3 @@ def test_below_one_sample_the_image_is_far_better_than_with_black_holes(name):
     pair = (result.image, image)
     errors = [(x.clamp(0, 1) - truth.clamp(0, 1)).square().mean() for x in pair]
     assert errors[0] < errors[1] / 4
-
-
-def test_from_one_sample_on_filling_changes_nothing():
-    clip = procedural_clip(11, Size(1, 48, 64), 1)
-    images = [
-        next(run_clip(registry.load_method(name), clip, 2.0)).image
-        for name in ("oidn/filled", "oidn/tuned")
-    ]
-    torch.testing.assert_close(images[0], images[1], rtol=1e-4, atol=1e-5)

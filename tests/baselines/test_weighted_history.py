@@ -12,6 +12,7 @@ from torch import Tensor
 
 from baselines.accumulate.memory import (
     LightHistory,
+    Memory,
     empty_memory,
     reproject_image,
     reproject_memory,
@@ -21,11 +22,11 @@ from baselines.accumulate.memory import (
 from rlbench import registry
 from rlbench.checks.frame_edits import edit_radiance, start_new_shot, to_clip, with_buffers
 from rlbench.clips.procedural.clip import procedural_clip
-from rlbench.frames import Frame, GBuffer, Size
+from rlbench.frames import Frame, GBuffer, Size, StoredPool
 from rlbench.ops.nested_tensors import has_graph
 from rlbench.ops.reprojection import reproject, reproject_bicubic
 from rlbench.run import run_clip
-from tests.baselines.noise import read_samples
+from tests.baselines.noise import random_tensor, read_samples
 
 SIZE = Size(1, 64, 64)
 RIVALS = ["ntas", "imcd", "nppd"]
@@ -38,14 +39,11 @@ LAMBDA = 51  # channel of the finest head of nppd
 
 def still_frames(count: int) -> list[Frame]:
     """A still image, of which every sample is the reference."""
-    return list(map(_without_noise, procedural_clip(3, SIZE, count, static=True)))
-
-
-def _without_noise(frame: Frame) -> Frame:
-    mean = frame.reference.mean
-    return edit_radiance(
-        frame, lambda part: (mean if part.dim() == 4 else mean[:, None]).expand_as(part).clone()
-    )
+    frames = []
+    for frame in procedural_clip(3, SIZE, count, static=True):
+        samples = frame.reference.mean[:, None].expand_as(frame.pool.radiance).clone()
+        frames.append(replace(frame, pool=StoredPool(samples, frame.pool.rounding_seeds)))
+    return frames
 
 
 def switch_light(frame: Frame) -> Frame:
@@ -55,13 +53,19 @@ def switch_light(frame: Frame) -> Frame:
     return edit_radiance(frame, lambda part: part * gain)
 
 
+def weigh_frame(frame: Frame, memory: Memory | None = None) -> tuple[Tensor, Memory]:
+    """The weight of the history, and the memory after the frame, whose image is the truth."""
+    memory = memory or empty_memory(SIZE, torch.device("cpu"))
+    history = reproject_memory(frame.gbuffer, memory)
+    weight, memory = weigh_history(frame.gbuffer, read_samples(frame, 2), memory, history)
+    return weight, replace(memory, image=frame.reference.mean)
+
+
 def weigh(frames: Sequence[Frame]) -> list[Tensor]:
     """The weight of history in each frame."""
-    memory, weights = empty_memory(SIZE, torch.device("cpu")), []
+    memory, weights = None, []
     for frame in frames:
-        history = reproject_memory(frame.gbuffer, memory)
-        weight, memory = weigh_history(frame.gbuffer, read_samples(frame, 2), memory, history)
-        memory = replace(memory, image=frame.reference.mean)
+        weight, memory = weigh_frame(frame, memory)
         weights.append(weight)
     return weights
 
@@ -106,14 +110,12 @@ def test_history_from_outside_the_image_has_no_weight() -> None:
 
 def test_the_weight_before_sampling_is_the_similarity_alone() -> None:
     first, second = procedural_clip(3, SIZE, 2)
-    memory = empty_memory(SIZE, torch.device("cpu"))
-    history = reproject_memory(first.gbuffer, memory)
-    assert not surface_weight(history).any()
-    _, memory = weigh_history(first.gbuffer, read_samples(first, 2), memory, history)
+    nothing = reproject_memory(first.gbuffer, empty_memory(SIZE, torch.device("cpu")))
+    assert not surface_weight(nothing).any()
+    _, memory = weigh_frame(first)
     history = reproject_memory(second.gbuffer, memory)
-    bright = switch_light(second)
     before = surface_weight(history)
-    after, _ = weigh_history(bright.gbuffer, read_samples(bright, 2), memory, history)
+    after, _ = weigh_frame(switch_light(second), memory)
     assert (before == history.similarity.where(history.similarity > 1e-3, 0)).all()
     assert (after <= before).all()
     assert after.sum() < 0.8 * before.sum()
@@ -126,17 +128,11 @@ def test_weighted_light_moves_linearly_and_the_image_in_log_transfer() -> None:
     depth = torch.ones_like(first.gbuffer.depth)
     first, second = (with_buffers(f, **flat, depth=depth) for f in (first, second))
     motion = torch.full((1, 2, SIZE.h, SIZE.w), 0.25)
-    generator = torch.Generator().manual_seed(0)
     noisy, denoised, features = (
-        torch.rand(1, c, SIZE.h, SIZE.w, generator=generator) for c in (3, 3, 5)
+        random_tensor(1, c, SIZE.h, SIZE.w, seed=seed) for seed, c in enumerate((3, 3, 5))
     )
     gbuffer = GBuffer({**second.gbuffer.buffers, "motion": motion})
-    memory = empty_memory(SIZE, torch.device("cpu"))
-    samples = read_samples(first, 2)
-    _, memory = weigh_history(
-        first.gbuffer, samples, memory, reproject_memory(first.gbuffer, memory)
-    )
-    memory = replace(memory, image=first.reference.mean)
+    _, memory = weigh_frame(first)
     state = LightHistory(noisy, denoised, features, 1, memory)
     moved, weight = state.reproject(gbuffer, read_samples(second, 2))
     known = weight > 0
@@ -160,15 +156,17 @@ def test_a_lamp_does_not_dominate_the_pixel_beside_it() -> None:
     assert not valid[..., -1].any()
 
 
+def images(name: str, *frames: Frame) -> list[Tensor]:
+    """The images of a method with random weights."""
+    method = registry.load_method(name, weights="random")
+    return [result.image for result in run_clip(method, to_clip(frames), 2.0)]
+
+
 @pytest.mark.parametrize("name", RIVALS)
 def test_without_motion_noise_and_change_the_variant_is_the_method(name: str) -> None:
     """All history has the weight 1; reprojection has nothing to do."""
-    clip = to_clip(still_frames(4))
-    base, variant = (
-        [result.image for result in run_clip(registry.load_method(n, weights="random"), clip, 2.0)]
-        for n in (name, f"{name}/history")
-    )
-    for expected, image in zip(base, variant, strict=True):
+    pairs = zip(*(images(row, *still_frames(4)) for row in (name, f"{name}/history")), strict=True)
+    for expected, image in pairs:
         # log transfer and back, in each frame; weights of 0.9999
         torch.testing.assert_close(image, expected, rtol=1e-3, atol=1e-4)
 
@@ -179,34 +177,26 @@ def test_a_frame_of_other_surfaces_is_a_first_frame(name: str) -> None:
     first, second = procedural_clip(3, SIZE, 2, static=True)
     depth = torch.ones_like(first.gbuffer.depth)
     first, turned = with_buffers(first, depth=depth), with_buffers(second, depth=1000 * depth)
-    method = registry.load_method(name, weights="random")
     assert not weigh([first, turned])[-1].any()
-    *_, after = run_clip(method, to_clip([first, turned]), 2.0)
-    (alone,) = run_clip(method, to_clip([turned]), 2.0)
-    assert torch.equal(after.image, alone.image)
-    base = registry.load_method(name.removesuffix("/history"), weights="random")
-    *_, kept = run_clip(base, to_clip([first, turned]), 2.0)
-    assert not torch.equal(kept.image, after.image)
+    after = images(name, first, turned)[-1]
+    assert torch.equal(after, images(name, turned)[0])
+    assert not torch.equal(after, images(name.removesuffix("/history"), first, turned)[-1])
 
 
 @pytest.mark.parametrize("name", HISTORY)
 def test_a_switched_light_is_followed_at_once(name: str) -> None:
     """By the variant; the method itself, with the same weights, keeps old light."""
     *before, last = still_frames(4)
-    switched = switch_light(last)
-    clip, errors = to_clip([*before, switched]), []
+    switched, errors = switch_light(last), []
     for row in (name.removesuffix("/history"), name):
-        *_, result = run_clip(registry.load_method(row, weights="random"), clip, 2.0)
-        (alone,) = run_clip(registry.load_method(row, weights="random"), to_clip([switched]), 2.0)
-        left = (..., slice(0, SIZE.w // 2 - FILTER))
-        errors.append(float((result.image[left] - alone.image[left]).abs().mean()))
+        difference = images(row, *before, switched)[-1] - images(row, switched)[0]
+        errors.append(float(difference[..., : SIZE.w // 2 - FILTER].abs().mean()))
     assert errors[1] < 0.01 * errors[0]
 
 
 @pytest.mark.parametrize("name", HISTORY)
 def test_training_reaches_every_parameter_and_leaves_the_memory_without_a_graph(name: str) -> None:
-    family = name.partition("/")[0]
-    train = importlib.import_module(f"baselines.{family}.train")
+    train = importlib.import_module(f"baselines.{name.partition('/')[0]}.train")
     task = train.training_task("history", torch.device("cpu"), 0)
     clip = procedural_clip(5, Size(2, 64, 64), 2)
     for loss in task.losses(clip, 2.0):
@@ -227,8 +217,7 @@ def test_light_is_kept_by_its_weight_where_lambda_is_one(name: str) -> None:
     changed = edit_radiance(changed, lambda part: part * 1.1)
     method = registry.load_method(name, weights="random")
     _, before = method.denoise(first.gbuffer, read_samples(first, 2), method.start(SIZE))
-    history = reproject_memory(changed.gbuffer, before.memory)
-    weight, _ = weigh_history(changed.gbuffer, read_samples(changed, 2), before.memory, history)
+    weight, _ = weigh_frame(changed, before.memory)
     assert 0.2 < weight.mean() < 0.9
 
     unet = method.networks.unet

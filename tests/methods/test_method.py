@@ -14,21 +14,18 @@ from methods.ours.history import RecurrentState, gbuffer_features, radiance_stat
 from methods.ours.method import DENSITIES, Ours, build
 from methods.ours.networks import SAMPLE_ENCODINGS
 from rlbench.clips.procedural.clip import procedural_clip
-from rlbench.frames import Frame, GBuffer, Samples, Size
+from rlbench.frames import Frame, GBuffer, Size
 from rlbench.ops.accumulation import AccumulatedRadiance
+from tests.baselines.noise import read_samples
 
 CPU = torch.device("cpu")
-
-
-GBUFFER = next(iter(procedural_clip(seed=3, size=Size(1, 32, 32), frames=1))).gbuffer
+SIZE = Size(1, 32, 32)
 
 
 def test_the_mean_that_enters_the_encoder_is_that_of_the_drawn_samples():
-    clip = procedural_clip(seed=3, size=Size(1, 16, 24), frames=1)
-    (frame,) = clip
+    (frame,) = procedural_clip(seed=3, size=Size(1, 16, 24), frames=1)
     counts = torch.arange(16 * 24).view(1, 1, 16, 24) % 9
-    samples = Samples(frame.pool.read(frame.pool.empty(), counts), counts)
-    values = SAMPLE_ENCODINGS["mean"].encode(samples)
+    values = SAMPLE_ENCODINGS["mean"].encode(read_samples(frame, counts))
     assert values.shape[1] == 3
     for x, y in ((0, 0), (3, 2), (8, 5), (23, 15)):
         n = int(counts[0, 0, y, x])
@@ -37,43 +34,28 @@ def test_the_mean_that_enters_the_encoder_is_that_of_the_drawn_samples():
         torch.testing.assert_close(values[0, :, y, x], mean)
 
 
-@pytest.mark.parametrize("variant", ["latent-B1", "latent-B2"])
-def test_without_a_state_the_image_depends_on_this_frame_alone(variant):
+@pytest.mark.parametrize(
+    ("variant", "plans_by_samples"), [("latent-B1", True), ("latent-B2", False)]
+)
+def test_without_a_state_the_image_depends_on_this_frame_alone(variant, plans_by_samples):
+    """B1 plans by the samples of the last frame."""
     method = build(variant, CPU, "random")
-    clip = procedural_clip(seed=3, size=Size(1, 32, 32), frames=2)
-    first, second = clip
-    counts = torch.full((1, 1, 32, 32), 2)
-    samples = [Samples(f.pool.read(f.pool.empty(), counts), counts) for f in (first, second)]
-    _, state = method.denoise(first.gbuffer, samples[0], method.start(clip.size))
-    alone, _ = method.denoise(second.gbuffer, samples[1], method.start(clip.size))
-    after, _ = method.denoise(second.gbuffer, samples[1], state)
-    assert torch.equal(alone, after)
-
-
-def test_b1_plans_by_the_last_frames_samples_and_b2_does_not():
-    clip = procedural_clip(seed=3, size=Size(1, 32, 32), frames=2)
-    first, second = clip
-    counts = torch.full((1, 1, 32, 32), 2)
-    samples = Samples(first.pool.read(first.pool.empty(), counts), counts)
-    for variant, differs in (("latent-B1", True), ("latent-B2", False)):
-        method = build(variant, CPU, "random")
-        gbuffer = second.gbuffer.select(method.traits.inputs)
-        start = method.start(clip.size)
-        _, after = method.denoise(first.gbuffer, samples, start)
-        plans = [method.plan(gbuffer, samples, state) for state in (after, start)]
-        assert (not torch.equal(*plans)) == differs
-
-
-def draw(frame: Frame, counts: Tensor) -> Samples:
-    return Samples(frame.pool.read(frame.pool.empty(), counts), counts)
+    first, second = procedural_clip(seed=3, size=SIZE, frames=2)
+    start = method.start(SIZE)
+    _, after = method.denoise(first.gbuffer, read_samples(first, 2), start)
+    samples = read_samples(second, 2)
+    images = [method.denoise(second.gbuffer, samples, state)[0] for state in (after, start)]
+    assert torch.equal(*images)
+    gbuffer = second.gbuffer.select(method.traits.inputs)
+    plans = [method.plan(gbuffer, samples, state) for state in (after, start)]
+    assert (not torch.equal(*plans)) == plans_by_samples
 
 
 def after_frame(variant: str) -> tuple[Ours, Frame, RecurrentState]:
     """A method, a frame, and the state after it with two samples in each pixel."""
     method = build(variant, CPU, "random")
-    (frame,) = procedural_clip(seed=3, size=Size(1, 32, 32), frames=1)
-    samples = draw(frame, torch.full((1, 1, 32, 32), 2))
-    _, state = method.denoise(frame.gbuffer, samples, method.start(Size(1, 32, 32)))
+    (frame,) = procedural_clip(seed=3, size=SIZE, frames=1)
+    _, state = method.denoise(frame.gbuffer, read_samples(frame, 2), method.start(SIZE))
     return method, frame, state
 
 
@@ -83,12 +65,6 @@ def after_one(request):
     return after_frame(request.param)
 
 
-@pytest.fixture
-def latent_after_one():
-    """The method whose encoder writes a latent."""
-    return after_frame("latent")
-
-
 def sample_lower_half(method: Ours, frame: Frame, before: RecurrentState) -> RecurrentState:
     """The state after a second frame; its right half moves, its upper half gets no sample."""
     motion = torch.zeros(1, 2, 32, 32)
@@ -96,7 +72,12 @@ def sample_lower_half(method: Ours, frame: Frame, before: RecurrentState) -> Rec
     counts = torch.full((1, 1, 32, 32), 2)
     counts[..., :16, :] = 0
     gbuffer = GBuffer({**frame.gbuffer.buffers, "motion": motion}).select(method.traits.inputs)
-    return method.denoise(gbuffer, draw(frame, counts), before)[1]
+    return method.denoise(gbuffer, read_samples(frame, counts), before)[1]
+
+
+def held_latent(before: RecurrentState, after: RecurrentState) -> Tensor:
+    """Where the latent is as before."""
+    return (after.features == before.features).all(1)
 
 
 def test_a_static_pixel_keeps_its_radiance_and_adds_its_samples(after_one):
@@ -107,11 +88,9 @@ def test_a_static_pixel_keeps_its_radiance_and_adds_its_samples(after_one):
     assert (after[16:, 16:] < 4).all()
 
 
-def test_a_static_pixel_without_samples_keeps_its_state_and_its_radiance(latent_after_one):
-    _, _, before = latent_after_one
-    after = sample_lower_half(*latent_after_one)
-    held = (after.features == before.features).all(1)
-    held &= (after.radiance.accumulated_spp == 2)[:, 0]
+def test_a_static_pixel_without_samples_keeps_its_latent():
+    before = after_frame("latent")
+    held = held_latent(before[2], sample_lower_half(*before))
     assert held[:, :16, :16].all()
     assert not held[:, 16:].any()
     assert not held[:, :, 16:].any()
@@ -134,17 +113,16 @@ def test_a_disoccluded_static_pixel_keeps_hardly_any_radiance(after_one):
     assert (after[..., :16] < 0.1).all()
 
 
-def test_a_disoccluded_static_pixel_keeps_no_latent(latent_after_one):
-    _, _, before = latent_after_one
-    after = disocclude_left_half(*latent_after_one)
-    held = (after.features == before.features).all(1)
+def test_a_disoccluded_static_pixel_keeps_no_latent():
+    before = after_frame("latent")
+    held = held_latent(before[2], disocclude_left_half(*before))
     assert held[..., 16:].all()
     assert not held[..., :16].any()
 
 
 def test_the_sampler_reads_the_spp_of_the_previous_frame(after_one):
     method, frame, state = after_one
-    first, second = method.start(Size(1, 32, 32)).previous_spp, state.previous_spp
+    first, second = method.start(SIZE).previous_spp, state.previous_spp
     assert (float(first), float(second)) == (1.0, 2.0)
     inputs = method.reproject(replace(frame.gbuffer, static=True), state).sampler_inputs
     assert inputs.shape[1] == method.networks.sampler_channels
@@ -158,7 +136,7 @@ def test_the_sampler_reads_the_spp_of_the_previous_frame(after_one):
 
 def test_the_state_is_reprojected_once_for_planning_and_denoising_a_frame(after_one):
     method, frame, state = after_one
-    equal_gbuffer, start = replace(frame.gbuffer), method.start(Size(1, 32, 32))
+    equal_gbuffer, start = replace(frame.gbuffer), method.start(SIZE)
     with torch.inference_mode():
         history = method.reproject(frame.gbuffer, state)
         assert method.reproject(frame.gbuffer, state) is history
@@ -181,8 +159,8 @@ def test_the_memo_of_the_reprojection_keeps_no_input_alive(after_one):
 
 @pytest.mark.parametrize("variant", ["paper", "latent-B1"])
 def test_without_accumulated_radiance_sampler_and_encoder_read_the_same(variant):
-    method = build(variant, CPU, "random")
-    history = method.reproject(GBUFFER, method.start(Size(1, 32, 32)))
+    method, frame, _ = after_frame(variant)
+    history = method.reproject(frame.gbuffer, method.start(SIZE))
     assert torch.equal(history.sampler_inputs, history.inputs)
 
 
@@ -194,14 +172,18 @@ def test_actions_beyond_the_range_have_the_density_of_its_ends(name, low, high):
     torch.testing.assert_close(density.flatten(), torch.tensor([low, low, 1.0, high, high]))
 
 
+def with_turned_normals(state: RecurrentState, first_column: int) -> RecurrentState:
+    turned = state.gbuffer_features.clone()
+    turned[:, :3, :, first_column:] *= -1
+    return replace(state, gbuffer_features=turned)
+
+
 def test_radiance_of_another_surface_has_less_weight(after_one):
     method, frame, state = after_one
     gbuffer = replace(frame.gbuffer, static=True)
     similarity = method.reproject(gbuffer, state).similarity
     assert torch.equal(similarity, torch.ones_like(similarity))
-    turned = state.gbuffer_features.clone()
-    turned[:, :3, :, 24:] *= -1  # normals of a quarter of the image: of all would be a cut
-    other = replace(state, gbuffer_features=turned)
+    other = with_turned_normals(state, 24)  # a quarter of the image: all of it would be a cut
     weight = method.reproject(gbuffer, other).radiance.accumulated_spp
     solid = frame.gbuffer.depth.isfinite()
     solid[..., :24] = False
@@ -211,9 +193,7 @@ def test_radiance_of_another_surface_has_less_weight(after_one):
 
 def test_after_a_cut_without_motion_that_says_so_there_is_no_history(after_one):
     method, frame, state = after_one
-    turned = state.gbuffer_features.clone()
-    turned[:, :3, :, 8:] *= -1  # normals
-    other = replace(state, gbuffer_features=turned)
+    other = with_turned_normals(state, 8)
     history = method.reproject(replace(frame.gbuffer, static=True), other)
     assert not history.radiance.accumulated_spp.any()
     assert (history.previous_spp == 1).all()
@@ -222,13 +202,11 @@ def test_after_a_cut_without_motion_that_says_so_there_is_no_history(after_one):
 def test_a_weight_that_underflow_would_decide_is_zero(after_one):
     """exp(-500) is 0 in float32 and positive in float64; either must mean: no sample."""
     method, frame, state = after_one
-    far = state.gbuffer_features.clone()
-    far[:, 6:] = frame.gbuffer.depth.isfinite() * 1.0  # as if the camera had touched the surfaces
-    turned = replace(state, gbuffer_features=far)
-    gbuffer = replace(frame.gbuffer, static=True)
-    solid = frame.gbuffer.depth.isfinite()
-    weight = method.reproject(gbuffer, turned).radiance.accumulated_spp
-    similarity = method.reproject(gbuffer, turned).similarity
+    far, solid = state.gbuffer_features.clone(), frame.gbuffer.depth.isfinite()
+    far[:, 6:] = solid * 1.0  # as if the camera had touched the surfaces
+    other = replace(state, gbuffer_features=far)
+    history = method.reproject(replace(frame.gbuffer, static=True), other)
+    weight, similarity = history.radiance.accumulated_spp, history.similarity
     assert ((similarity[solid] > 0) & (similarity[solid] < 1e-4)).any()
     assert ((weight == 0) | (weight > 1e-3)).all()
 
@@ -237,10 +215,9 @@ def test_a_static_pixel_trusts_all_its_samples(after_one):
     """Whatever encoder or rule says: only then does the error of a still camera fall for good."""
     method, frame, before = after_one
     gbuffer = replace(frame.gbuffer, static=True)
-    samples = draw(frame, torch.full((1, 1, 32, 32), 3))
-    accumulator = replace(method.accumulator, antilag=False)
-    keep = replace(method, accumulator=accumulator)
-    _, after = keep.denoise(gbuffer.select(method.traits.inputs), samples, before)
+    keep = replace(method, accumulator=replace(method.accumulator, antilag=False))
+    gbuffer = gbuffer.select(method.traits.inputs)
+    _, after = keep.denoise(gbuffer, read_samples(frame, 3), before)
     assert (after.radiance.accumulated_spp == 5).all()
 
 

@@ -1,17 +1,21 @@
-"""The networks of `ours`: their sizes, and the pace of the sampler."""
+"""The networks of `ours`: sizes, pace of the sampler, variants, and cards of shipped weights."""
 
 from __future__ import annotations
 
+import json
 import math
+from dataclasses import asdict
 
 import pytest
 import torch
 from torch import nn
 from torch.nn import functional as F
 
-from methods.ours import VARIANTS
+from methods.ours import FAMILY, VARIANTS
+from methods.ours.method import CARDS
 from methods.ours.networks import Encoder, Networks, Sampler
 from rlbench.ops.init import kaiming_init
+from rlbench.weights import read_card
 
 
 def parameters(network: nn.Module) -> int:
@@ -56,3 +60,30 @@ def test_a_sampler_with_a_stride_acts_on_means_of_blocks():
         action = fine(F.interpolate(small, scale_factor=2, mode="nearest"))
         expected = F.interpolate(coarse(small).atanh(), scale_factor=2, mode="bilinear").tanh()
     torch.testing.assert_close(action, expected, rtol=1e-4, atol=1e-5)
+
+
+@pytest.mark.parametrize("name", [n for n, v in FAMILY.variants.items() if v.weights_from])
+def test_a_variant_with_the_weights_of_another_has_its_networks(name):
+    source = FAMILY.variants[name].weights_from.partition("/")[2]
+    networks = {"latent", "encoder", "sampler", "denoiser", "accumulation", "history_mode"}
+    one, other = asdict(VARIANTS[name]), asdict(VARIANTS[source])
+    assert {field for field in one if one[field] != other[field]}.isdisjoint(networks)
+
+
+def test_the_papers_recipe_reads_the_state_alone():
+    """Channels as in the paper: 32 of the state, or the samples and G-buffer without an encoder."""
+    recipes = {name: config for name, config in VARIANTS.items() if name.startswith("paper")}
+    inputs = {
+        name: Networks(config).denoiser.enc_conv0.in_channels for name, config in recipes.items()
+    }
+    assert inputs.pop("paper-B1") == inputs.pop("paper-B2") == 24 + 7
+    assert set(inputs.values()) == {32}
+
+
+@pytest.mark.parametrize("file", sorted(CARDS.glob("*.safetensors")), ids=lambda file: file.stem)
+def test_a_shipped_card_records_the_config_of_its_variant(file):
+    """Of the fields that there were when it was trained."""
+    card = read_card(file)
+    recorded = json.loads(card.method_config)
+    config = json.loads(json.dumps(asdict(VARIANTS[card.name.partition("/")[2]].for_training)))
+    assert recorded == {name: config[name] for name in recorded}

@@ -23,7 +23,6 @@ from methods.ours.policy import (
     AllocationProblem,
     SamplerLearner,
     StochasticLearner,
-    SurrogateLearner,
 )
 
 SIDE = 15
@@ -107,10 +106,7 @@ SINGLE = StochasticLearner(block=1, margin=0, is_standardized=False)
 TOLERANCE = 0.5  # of a mean of 225 squared normal values: 5 standard deviations
 
 
-EVERY_BUDGET = pytest.mark.parametrize("spp", [0.25, 0.6, 1.5, 2.5])  # counts in [0.1, 4)
-
-
-@EVERY_BUDGET
+@pytest.mark.parametrize("spp", [0.25, 0.6, 1.5, 2.5])  # counts in [0.1, 4)
 def test_the_gradient_of_expected_errors_is_that_in_closed_form(spp):
     """Planned counts are below 1 in all pixels, in some, and in none; nothing is left to chance."""
     problem, action = make_problem(ExpectedProblem, Direct(), spp)
@@ -122,12 +118,6 @@ def test_the_gradient_of_expected_errors_is_that_in_closed_form(spp):
 def test_the_mean_gradient_of_realised_errors_is_that_in_closed_form(spp):
     """Samples are normal here: log-normal ones have tails that no mean of draws settles."""
     assert squared_z_score(SINGLE, spp) == pytest.approx(1, abs=TOLERANCE)
-
-
-@pytest.mark.parametrize("spp", [0.25, 2.5])
-def test_the_closed_form_catches_a_biased_gradient(spp):
-    """The surrogate fades where pixels have no samples, and is twice too long elsewhere."""
-    assert squared_z_score(SurrogateLearner(), spp) > 1 + 4 * TOLERANCE
 
 
 def test_a_pixel_without_samples_has_a_gradient_of_its_own():
@@ -165,14 +155,6 @@ def test_all_offsets_together_switch_every_pixel_alone(mode, spp, kind):
     expected = flipped_gradient(problem, action)
     found = gradients(learner, problem, action)
     torch.testing.assert_close(found, expected, rtol=1e-3, atol=2e-3 * float(expected.abs().max()))
-
-
-def test_a_margin_that_cuts_effects_off_is_caught():
-    problem, action = make_problem(ExpectedProblem, Filter(), 0.5)
-    learner = StochasticLearner(block=1, margin=1, pairs=9, is_standardized=False)
-    expected = flipped_gradient(problem, action)
-    difference = gradients(learner, problem, action) - expected
-    assert difference.norm() > 0.1 * expected.norm()
 
 
 @pytest.mark.parametrize("spp", [0, 0.25, 3.0, 7.9])

@@ -19,13 +19,19 @@ from methods.ours.policy import BlockReinforce
 from methods.ours.problem import EpisodeProblem
 from methods.ours.train import config_task, training_task
 from rlbench.clips.procedural.clip import procedural_clip
-from rlbench.frames import Samples, Size
+from rlbench.frames import Size
 from rlbench.ops.init import kaiming_init
 from rlbench.ops.losses import l1_ms_ssim_loss
 from rlbench.ops.transfer import log_forward
 from rlbench.run import run_clip, unroll
+from tests.baselines.noise import read_samples
 
 CPU = torch.device("cpu")
+FROM_INTEL = [
+    variant
+    for variant, config in VARIANTS.items()
+    if config.accumulation != "none" and config.denoiser_start == "intel"
+]
 
 
 def test_a_step_has_the_same_length_at_a_large_loss_as_at_a_small_one():
@@ -44,14 +50,7 @@ def test_a_step_has_the_same_length_at_a_large_loss_as_at_a_small_one():
             torch.testing.assert_close(gradient, expected * factor, rtol=1e-4, atol=1e-7)
 
 
-@pytest.mark.parametrize(
-    "variant",
-    [
-        v
-        for v, config in VARIANTS.items()
-        if config.accumulation != "none" and config.denoiser_start == "intel"
-    ],
-)
+@pytest.mark.parametrize("variant", FROM_INTEL)
 def test_training_starts_with_the_image_of_open_image_denoise(variant):
     """In the first frame no radiance is accumulated, and the weights of the state are zero."""
     pytest.importorskip("pyoidn", reason="the extra oidn is not installed")
@@ -67,24 +66,14 @@ def test_training_starts_with_the_image_of_open_image_denoise(variant):
     torch.testing.assert_close(result.image, expected, rtol=1e-4, atol=1e-5)
 
 
-@pytest.mark.parametrize("variant", ["", "latent"])
-def test_an_untrained_sampler_is_uniform_in_the_first_frame(variant):
-    method = training_task(variant, CPU, seed=0).method
-    clip = procedural_clip(seed=1, size=Size(1, 32, 48), frames=1)
-    frame = next(iter(clip))
-    density = method.plan(frame.gbuffer, frame.pool.empty(), method.start(clip.size))
-    assert density.unique().numel() == 1
-
-
 @pytest.mark.parametrize(("variant", "rule"), [("", True), ("latent", False)])
-def test_an_untrained_sampler_leaves_later_frames_to_the_rule_if_there_is_one(variant, rule):
-    method = training_task(variant, CPU, seed=0).method
-    clip = procedural_clip(seed=1, size=Size(1, 32, 48), frames=2)
-    first, second = clip
-    counts = torch.full((1, 1, 32, 48), 2)
-    samples = Samples(first.pool.read(first.pool.empty(), counts), counts)
+def test_an_untrained_sampler_is_uniform_and_later_leaves_frames_to_the_rule(variant, rule):
+    method, size = training_task(variant, CPU, seed=0).method, Size(1, 32, 48)
+    first, second = procedural_clip(seed=1, size=size, frames=2)
+    samples, start = read_samples(first, 2), method.start(size)
+    assert method.plan(first.gbuffer, first.pool.empty(), start).unique().numel() == 1
     with torch.no_grad():
-        _, state = method.denoise(first.gbuffer, samples, method.start(clip.size))
+        _, state = method.denoise(first.gbuffer, samples, start)
         density = method.plan(second.gbuffer, samples, state)
         history = method.reproject(second.gbuffer, state)
     by_rule = mix_with_uniform(contrast_of(history), history.similarity)
@@ -180,9 +169,8 @@ def test_the_papers_recipe_credits_a_map_with_the_rest_of_its_episode(monkeypatc
 def test_the_state_carries_a_gradient_over_bptt_frames(bptt, variant, carrier):
     method = training_task(variant, CPU, seed=0).method
     method = assemble(replace(method.config, bptt=bptt), method.traits, method.networks)
-    clip = procedural_clip(seed=1, size=Size(1, 32, 32), frames=1)
-    frame = next(iter(clip))
-    _, state = method.denoise(frame.gbuffer, frame.pool.empty(), method.start(clip.size))
+    (frame,) = procedural_clip(seed=1, size=Size(1, 32, 32), frames=1)
+    _, state = method.denoise(frame.gbuffer, frame.pool.empty(), method.start(frame.pool.size))
     carried = getattr(state, carrier)
     assert carried.requires_grad
     carried.retain_grad()
