@@ -22,7 +22,6 @@ from rlbench.benchmark.clip_sources import StoredSource, max_samples_needed
 from rlbench.benchmark.run_outcome import read_outcome
 from rlbench.benchmark.run_plan import RunPlan, row_name
 from rlbench.benchmark.runner import RunSummary, measure, read_cells
-from rlbench.clips.header import read_header, write_header
 from rlbench.clips.stored import open_clip
 from rlbench.system import code_hash, provenance
 from rlbench.weights import card_path
@@ -541,25 +540,6 @@ def test_a_score_on_a_training_clip_has_a_note_that_it_is_no_test(tmp_path, name
     learned = rows[(rows["metric"] == "psnr") & (rows["method"] == "oidn/tuned")]
     assert set(learned["note"]) == ({remark} if trained else {""})
     assert remark not in set(rows[rows["method"] == "mean"]["note"])
-
-
-@pytest.mark.parametrize(
-    ("field", "metric", "values"),
-    [
-        ({"cuts": (1,)}, "event_cut", [1.0]),
-        ({"light_changes": (2,)}, "event_light", [1.0]),
-        ({"noise_ceiling_db": (40.0, 41.0, 42.0)}, table.NOISE_CEILING, [40.0, 41.0, 42.0]),
-    ],
-)
-def test_events_and_ceilings_that_a_clip_gets_later_get_their_rows(
-    clip_folder, tmp_path, field, metric, values
-):
-    measure_scores(run_plan(clip_folder), tmp_path / "r")
-    write_header(clip_folder, replace(read_header(clip_folder), **field))
-    done = measure_scores(run_plan(clip_folder), tmp_path / "r")
-    assert done == RunSummary(measured=1)
-    rows = table.read(tmp_path / "r").sort_values("frame")
-    assert rows[rows["metric"] == metric]["value"].tolist() == values
 
 
 def test_the_rows_of_a_plan_are_those_of_its_cells_alone(clip_folder, tmp_path):
