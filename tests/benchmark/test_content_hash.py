@@ -132,7 +132,9 @@ def test_another_version_of_a_backend_scores_again(clip_folder, monkeypatch):
     plan, ids = replace(run_plan(clip_folder, "oidn"), backend="openvino"), []
     for version in ({"openvino": "1"}, {"openvino": "2"}):
         monkeypatch.setattr(
-            provenance, "package_versions", lambda names, known=version: known.get(" ".join(names), "same")
+            provenance,
+            "package_versions",
+            lambda names, known=version: known.get(" ".join(names), "same"),
         )
         ids += cell_ids(plan)
     assert not ids[0].has_scores_of(ids[1])
