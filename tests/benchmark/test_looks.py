@@ -10,6 +10,7 @@ import pytest
 
 from rlbench.benchmark import looks, results
 from rlbench.benchmark.cell_key import CellKey
+from rlbench.system.paths import WriteError
 from tests.benchmark.test_runner import run_plan
 from tests.conftest import write_noise
 from tests.measuring import measure_scores
@@ -82,3 +83,9 @@ def test_nothing_is_written_through_a_link_in_place_of_the_ledger(tmp_path):
     looks.record_looks(tmp_path, [cell()])
     assert (tmp_path / "notes").read_text() == "precious"
     assert looks.count_looks(tmp_path) == {"unseen": 1}
+
+
+def test_a_folder_that_takes_no_file_is_an_error_that_names_it(tmp_path):
+    (tmp_path / "file").write_text("")
+    with pytest.raises(WriteError, match=r"looks\.csv cannot be written"):
+        looks.record_looks(tmp_path / "file", [cell()])
