@@ -7,7 +7,7 @@ from dataclasses import replace
 import pytest
 
 from rlbench.clips import digest, open_clip, write_header
-from tests.clips.clip_folders import HEADER, touch_up
+from tests.clips.clip_folders import HEADER, edit, touch_up
 
 
 def test_a_changed_pixel_changes_the_digest_and_is_decoded_again(folder):
@@ -34,24 +34,18 @@ def test_the_digest_covers_the_fields_that_decide_pixels(folder, change, same):
     assert (open_clip(folder).digest == before) is same
 
 
-def test_a_clip_of_one_shot_has_the_digest_that_it_had_before_there_were_cuts(folder):
+def test_a_clip_has_the_digest_that_it_had_before_there_were_cuts_and_limitations(folder):
     before = open_clip(folder).digest
-    text = (folder / "clip.toml").read_text("utf-8")
-    assert "cuts = []\n" in text
-    (folder / "clip.toml").write_text(text.replace("cuts = []\n", ""), "utf-8")
+    edit(folder, "cuts = []\n", "")
     assert open_clip(folder).digest == before
-
-
-def test_a_clip_without_limitations_has_the_digest_that_it_had_before_there_were_any():
     assert "lacks" not in HEADER.digest_fields("path")
 
 
-def test_files_that_did_not_change_are_hashed_once(folder, monkeypatch):
+def test_files_that_did_not_change_are_hashed_once_and_a_moved_clip_keeps_its_digest(
+    folder, monkeypatch
+):
     before = open_clip(folder).digest
-    monkeypatch.setattr(digest.hashlib, "file_digest", None)
-    assert open_clip(folder).digest == before  # hashing a file would now be an error
-
-
-def test_a_moved_clip_keeps_its_digest(folder):
-    before = open_clip(folder).digest
+    with monkeypatch.context() as patch:
+        patch.setattr(digest.hashlib, "file_digest", None)
+        assert open_clip(folder).digest == before  # hashing a file would now be an error
     assert open_clip(folder.rename(folder.with_name("moved"))).digest == before
