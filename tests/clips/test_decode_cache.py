@@ -11,7 +11,7 @@ import pytest
 import torch
 
 from rlbench.clips import decode_cache, open_clip
-from rlbench.clips.decode_cache import write_array
+from rlbench.clips.decode_cache import open_array, write_array
 from rlbench.system import paths
 
 
@@ -81,3 +81,11 @@ def test_a_full_disk_leaves_no_file_and_says_so(folder, monkeypatch):
     with pytest.raises(paths.WriteError, match=r"npy cannot be written .*bytes free"):
         open_clip(folder).frame(0)
     assert [p for p in paths.decoded_folder().rglob("*") if "npy" in p.name] == []
+
+
+def test_an_array_comes_back_as_a_memory_map(tmp_path):
+    values = np.arange(24, dtype=np.float16).reshape(2, 3, 4)
+    write_array(tmp_path / "a.npy", values)
+    array = open_array(tmp_path / "a.npy", (2, 3, 4))
+    assert isinstance(array, np.memmap)
+    np.testing.assert_array_equal(array, values)

@@ -41,11 +41,8 @@ def test_every_job_has_a_value_or_an_error_and_sees_the_plugins(tmp_path):
     assert "plugin code called sys.exit('bye')" in str(results["exit"].error)
 
 
-def test_no_jobs_start_no_process():
+def test_no_jobs_start_no_process_and_times_are_measured_in_this_one():
     assert list(ProcessExecutor(2).map(work, [])) == []
-
-
-def test_measurements_of_time_stay_in_this_process():
     assert ProcessExecutor(2).local_exclusive() is LOCAL
     assert ProcessExecutor(2).description == "2 processes"
 

@@ -13,9 +13,10 @@ def double(job, on_progress):
     return 2 * job
 
 
-def test_without_a_limit_every_job_is_done():
-    results = TimeLimitedExecutor(TimeLimit()).map(double, [1, 2, 3])
-    assert [result.value for result in results] == [2, 4, 6]
+@pytest.mark.parametrize(("limit", "jobs"), [(TimeLimit(), [1, 2, 3]), (TimeLimit(1e-9), [1])])
+def test_without_a_limit_or_before_its_end_every_job_is_done(limit, jobs):
+    results = TimeLimitedExecutor(limit).map(double, jobs)
+    assert [result.value for result in results] == [2 * job for job in jobs]
     assert TimeLimit().minutes_left == math.inf
 
 
@@ -24,11 +25,6 @@ def test_after_the_limit_no_job_begins_and_done_ones_are_kept():
     assert next(results).value == 2
     with pytest.raises(OutOfTimeError, match="1e-09 minutes are over, and 2 of 3 jobs are not"):
         next(results)
-
-
-def test_a_limit_that_ends_with_the_last_job_is_kept():
-    results = TimeLimitedExecutor(TimeLimit(1e-9)).map(double, [1])
-    assert [result.value for result in results] == [2]
 
 
 def test_the_rest_is_that_of_the_executor():
