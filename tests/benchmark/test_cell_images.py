@@ -123,7 +123,7 @@ def test_a_run_without_the_option_and_new_times_leave_images_as_they_are(plan, t
 
 
 @pytest.mark.parametrize("keeps", [True, False])
-def test_images_of_a_superseded_cell_are_removed(clip_folder, tmp_path, keeps):
+def test_rows_and_images_of_older_code_are_removed(clip_folder, tmp_path, keeps):
     file = write_plugin(tmp_path / "gain.py", "gain", gain=1.0)
     registry.use_plugin(file)
     keep(run_plan(clip_folder, "gain"), tmp_path / "r")
@@ -131,7 +131,10 @@ def test_images_of_a_superseded_cell_are_removed(clip_folder, tmp_path, keeps):
     write_plugin(file, "gain", gain=2.0)
     registry.clear_plugins()
     registry.use_plugin(file)
-    measure(run_plan(clip_folder, "gain"), tmp_path / "r", keep_images=keeps, times="none")
+    plan = run_plan(clip_folder, "gain")
+    done = measure(plan, tmp_path / "r", keep_images=keeps, times="none")
+    assert (done, done.replaced) == (RunSummary(measured=1), 1)
+    assert len(table.cells(tmp_path / "r")) == 1
     assert not older.exists()
     assert len(list((tmp_path / "r" / "images").iterdir())) == keeps
 

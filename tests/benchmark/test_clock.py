@@ -14,11 +14,9 @@ import torch
 
 from rlbench.benchmark.clock import (
     Calibration,
-    Calibrator,
     Stopwatch,
     SystemClock,
     TimedMethod,
-    make_kernel,
     timed_reader,
 )
 from rlbench.clips.procedural.clip import procedural_clip
@@ -85,13 +83,6 @@ def test_allocation_is_charged_apart_from_reading_samples(reading, traits, plan,
     parts = (frame.plan, frame.allocate, frame.denoise, frame.sample_fetch)
     assert parts == pytest.approx((plan, allocate, 9.0, fetch))
     assert frame.inference == frame.processor == pytest.approx(plan + allocate + 9.0)
-
-
-def test_the_kernel_of_this_machine_has_a_time_and_a_share():
-    device = torch.device("cpu")
-    calibration = Calibrator(SystemClock(device), make_kernel(device)).measure()
-    assert calibration.ms > 0
-    assert 0 < calibration.processor_share <= 1 or math.isnan(calibration.processor_share)
 
 
 def test_threads_that_compete_wait_for_a_processor():

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import importlib.metadata
 import math
 import re
 import shutil
@@ -23,7 +22,6 @@ from rlbench.benchmark.run_plan import RunPlan, row_name
 from rlbench.benchmark.runner import RunSummary, measure, read_cells
 from rlbench.clips.stored import open_clip
 from rlbench.system import code_hash
-from rlbench.weights import card_path
 from tests.conftest import write_noise, write_plugin
 from tests.measuring import measure_scores
 
@@ -221,15 +219,6 @@ def test_a_stopped_run_resumes_and_ends_as_an_undisturbed_one(clip_folder, tmp_p
     assert scores(tmp_path / "r") == scores(tmp_path / "undisturbed")
 
 
-def test_changed_code_replaces_the_older_rows(clip_folder, tmp_path):
-    plugin = write_plugin(tmp_path / "grey.py", "grey", gain=1.0)
-    registry.use_plugin(plugin)
-    measure_scores(run_plan(clip_folder, "grey"), tmp_path / "r")
-    write_plugin(plugin, "grey", gain=0.5)
-    assert measure_scores(run_plan(clip_folder, "grey"), tmp_path / "r") == RunSummary(measured=1)
-    assert len(table.cells(tmp_path / "r")) == 1
-
-
 SHAPE, DTYPE = "samples.mean[:, :1]", "samples.mean.half()"
 
 NAN = {"body": "return samples.mean * float('nan'), None"}
@@ -292,18 +281,6 @@ def test_a_method_without_its_code_or_package_does_not_stop_the_others(
     assert any(re.match(reason, note) for note in reasons(tmp_path / "r"))
 
 
-def test_another_version_of_a_package_that_makes_the_images_is_measured_again(
-    clip_folder, tmp_path, monkeypatch
-):
-    use_changed_plugin(tmp_path, requires("numpy"))
-    plan = run_plan(clip_folder, "odd")
-    assert measure_scores(plan, tmp_path / "r") == RunSummary(measured=1)
-    assert measure_scores(plan, tmp_path / "r") == RunSummary(cached=1)
-    monkeypatch.setattr(importlib.metadata, "version", lambda name: f"99.{len(name)}")
-    assert measure_scores(plan, tmp_path / "r") == RunSummary(measured=1, replaced=1)
-    assert set(table.read(tmp_path / "r").weights_hash) == {"numpy 99.5"}
-
-
 def test_a_cell_that_failed_is_tried_again(clip_folder, tmp_path):
     needed, plan = use_method_that_needs_a_file(tmp_path), run_plan(clip_folder, "odd")
     needed.unlink()
@@ -347,24 +324,6 @@ def test_other_weights_have_rows_of_their_own_and_unlearned_methods_none(clip_fo
         assert measure_scores(plan, tmp_path / "r").replaced == 0
     methods = {f"ours/A2{label}" for label in ("", "@random", "@my-own", "@seed0")}
     assert set(table.read(tmp_path / "r")["method"]) == {*methods, "mean"}
-
-
-def test_a_row_whose_shipped_weights_changed_is_measured_again(clip_folder, tmp_path, monkeypatch):
-    """`oidn` once had the weights of today's `oidn/retrained`: scores of the two never mix."""
-    retrained, former = registry.shipped_weights("oidn/retrained"), tmp_path / "oidn.safetensors"
-    shutil.copy(retrained, former)
-    shutil.copy(card_path(retrained), card_path(former))
-    plan = run_plan(clip_folder, "oidn", limit_frames=1)
-    with monkeypatch.context() as patch:
-        patch.setattr(registry, "shipped_weights", lambda name: former)
-        patch.setattr("baselines.oidn.method.CARDS", tmp_path)
-        assert measure_scores(plan, tmp_path / "r") == RunSummary(measured=1)
-    old = table.read(tmp_path / "r")
-    assert measure_scores(plan, tmp_path / "r") == RunSummary(measured=1, replaced=1)
-    new = table.read(tmp_path / "r")
-    for column in ("weights_hash", "value"):
-        before, after = (rows[rows["metric"] == "psnr"][column].item() for rows in (old, new))
-        assert before != after
 
 
 def test_an_older_cell_that_a_kill_left_is_removed_by_the_next_run(clip_folder, tmp_path):

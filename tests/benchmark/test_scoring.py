@@ -30,6 +30,7 @@ from rlbench.clips.procedural.folder import write_procedural_clip
 from rlbench.family import Traits
 from rlbench.frames import Reference, Size
 from rlbench.run import run_clip
+from tests.benchmark.fake_machine import Machine, Worker
 from tests.measuring import measure_scores
 
 TEMPLATE = Row("r", "mean", "noise", "noise", 2.0, 1.5, -1, "", math.nan)
@@ -154,26 +155,19 @@ def test_a_copy_for_another_process_is_empty(clip):
 
 
 @dataclass(frozen=True)
-class Vandal:
+class Vandal(Worker):
     """Writes to the motion that it receives."""
-
-    traits: Traits = Traits(inputs=frozenset({"motion"}))
-
-    def start(self, size):
-        return None
 
     def plan(self, gbuffer, samples, state):
         gbuffer.motion.add_(3.0)
-        return torch.ones_like(samples.mean[:, :1])
-
-    def denoise(self, gbuffer, samples, state):
-        return samples.mean, None
+        return super().plan(gbuffer, samples, state)
 
 
 def test_a_method_that_writes_to_its_inputs_changes_no_ground_truth(clip):
     cache = GroundTruthCache(Metric)
+    vandal = Vandal(Machine(), traits=Traits(inputs=frozenset({"motion"})))
     expected = [frame.gbuffer.motion.clone() for frame in clip]
-    for _ in run_clip(Vandal(), cache.open(clip), 1.0):
+    for _ in run_clip(vandal, cache.open(clip), 1.0):
         pass
     assert expected[1].abs().sum() > 0
     for truth, motion in zip(read(cache, clip), expected, strict=True):
