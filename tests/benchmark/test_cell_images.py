@@ -22,8 +22,9 @@ from rlbench.clips.stored import open_clip
 from rlbench.frames import Samples
 from rlbench.run import FrameResult, run_clip
 from rlbench.system import paths
-from tests.benchmark.test_runner import run_plan, scores
-from tests.conftest import write_noise, write_plugin
+from tests.benchmark.test_runner import run_plan, scores, use_method_that_needs_a_file
+from tests.conftest import write_plugin
+from tests.measuring import measure_scores
 
 
 def keep(plan, folder: Path) -> RunSummary:
@@ -82,7 +83,7 @@ def test_half_floats_change_psnr_by_less_than_a_hundredth_of_a_decibel(target_db
 
 
 def test_a_cell_with_scores_but_without_images_is_run_again_and_keeps_its_scores(plan, tmp_path):
-    measure(plan, tmp_path / "r", times="none")
+    measure_scores(plan, tmp_path / "r")
     before = scores(tmp_path / "r")
     assert keep(plan, tmp_path / "r") == RunSummary(measured=1)
     assert scores(tmp_path / "r") == before
@@ -91,19 +92,15 @@ def test_a_cell_with_scores_but_without_images_is_run_again_and_keeps_its_scores
 
 
 def test_an_error_while_images_are_made_leaves_the_scores(clip_folder, tmp_path, caplog):
-    body = f"open({str(tmp_path / 'file')!r}); return samples.mean, None"
-    (tmp_path / "file").touch()
-    registry.use_plugin(write_plugin(tmp_path / "odd.py", "odd", body=body))
-    plan = run_plan(clip_folder, "odd")
-    measure(plan, tmp_path / "r", times="none")
+    needed, plan = use_method_that_needs_a_file(tmp_path), run_plan(clip_folder, "odd")
+    measure_scores(plan, tmp_path / "r")
     before = table.read(tmp_path / "r")
-    (tmp_path / "file").unlink()
+    needed.unlink()
     done = keep(plan, tmp_path / "r")
-    assert done == RunSummary(failed=1)
-    assert [cell.method for cell in done.failures] == ["odd"]
+    assert (done, [cell.method for cell in done.failures]) == (RunSummary(failed=1), ["odd"])
     assert "no images, its scores stay: FileNotFoundError: " in caplog.text
     assert table.read(tmp_path / "r").equals(before)
-    (tmp_path / "file").touch()
+    needed.touch()
     assert keep(plan, tmp_path / "r") == RunSummary(measured=1)
 
 
@@ -126,7 +123,7 @@ def test_a_run_without_the_option_and_new_times_leave_images_as_they_are(plan, t
 
 
 @pytest.mark.parametrize("keeps", [True, False])
-def test_images_of_a_superseded_cell_are_removed(clip_folder, tmp_path, keeps):
+def test_rows_and_images_of_older_code_are_removed(clip_folder, tmp_path, keeps):
     file = write_plugin(tmp_path / "gain.py", "gain", gain=1.0)
     registry.use_plugin(file)
     keep(run_plan(clip_folder, "gain"), tmp_path / "r")
@@ -134,7 +131,10 @@ def test_images_of_a_superseded_cell_are_removed(clip_folder, tmp_path, keeps):
     write_plugin(file, "gain", gain=2.0)
     registry.clear_plugins()
     registry.use_plugin(file)
-    measure(run_plan(clip_folder, "gain"), tmp_path / "r", keep_images=keeps, times="none")
+    plan = run_plan(clip_folder, "gain")
+    done = measure(plan, tmp_path / "r", keep_images=keeps, times="none")
+    assert (done, done.replaced) == (RunSummary(measured=1), 1)
+    assert len(table.cells(tmp_path / "r")) == 1
     assert not older.exists()
     assert len(list((tmp_path / "r" / "images").iterdir())) == keeps
 
@@ -142,14 +142,11 @@ def test_images_of_a_superseded_cell_are_removed(clip_folder, tmp_path, keeps):
 def test_a_run_that_is_killed_between_images_and_rows_leaves_an_unfinished_cell(
     plan, tmp_path, monkeypatch
 ):
-    class KillError(Exception):
-        pass
-
     def kill(*args: object) -> None:
-        raise KillError
+        raise KeyboardInterrupt
 
     monkeypatch.setattr(table, "write_cell", kill)
-    with pytest.raises(KillError):
+    with pytest.raises(KeyboardInterrupt):
         keep(plan, tmp_path / "r")
     assert not table.cells(tmp_path / "r")
     monkeypatch.undo()
@@ -167,9 +164,8 @@ def test_images_have_their_name_only_when_all_are_written(plan, tmp_path, monkey
     assert not kept(tmp_path / "r")
 
 
-def test_a_cell_that_cannot_run_has_no_images_and_is_not_run_for_them(tmp_path):
-    folder = write_noise(tmp_path / "noise")
-    plan = run_plan(folder, "eaw", spp=(0.5,))  # eaw takes no half samples
+def test_a_cell_that_cannot_run_has_no_images_and_is_not_run_for_them(clip_folder, tmp_path):
+    plan = run_plan(clip_folder, "eaw", spp=(0.5,))  # eaw takes no half samples
     assert keep(plan, tmp_path / "r") == RunSummary(skipped=1)
     assert not kept(tmp_path / "r")
     assert keep(plan, tmp_path / "r") == RunSummary(cached=1)
@@ -190,16 +186,11 @@ def test_a_changed_byte_is_found_when_the_image_is_read(plan, tmp_path):
         cell_images.list_images(tmp_path / "r")
 
 
-@pytest.fixture
-def shown_plan(clip_folder, tmp_path):
+def test_images_reference_and_buffers_are_those_on_disk(clip_folder, tmp_path):
     plan = run_plan(clip_folder, spp=(1.0, 2.0), seeds=(0, 1))
     keep(plan, tmp_path / "r")
-    return plan
-
-
-def test_images_reference_and_buffers_are_those_on_disk(shown_plan, tmp_path):
-    (shown,) = find_shown_clips(tmp_path / "r", shown_plan.clips, ["mean"], [2.0])
-    clip = open_clip(shown_plan.clips[0].folder)
+    (shown,) = find_shown_clips(tmp_path / "r", plan.clips, ["mean"], [2.0])
+    clip = open_clip(clip_folder)
     (images,) = shown.images  # of the first seed
     kept = next(
         each
@@ -213,10 +204,5 @@ def test_images_reference_and_buffers_are_those_on_disk(shown_plan, tmp_path):
         assert np.array_equal(images.counts[index], kept.frame(index).counts)
         assert np.array_equal(shown.reference[index], frame.reference.mean[0])
         assert torch.equal(torch.from_numpy(shown.buffers["depth"][index]), frame.gbuffer.depth[0])
-
-
-def test_only_the_buffers_that_are_named_are_read(shown_plan, tmp_path):
-    (shown,) = find_shown_clips(
-        tmp_path / "r", shown_plan.clips, ["mean"], [2.0], buffers=["depth"]
-    )
-    assert list(shown.buffers) == ["depth"]
+    (named,) = find_shown_clips(tmp_path / "r", plan.clips, ["mean"], [2.0], buffers=["depth"])
+    assert list(named.buffers) == ["depth"]

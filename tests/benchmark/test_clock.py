@@ -14,17 +14,16 @@ import torch
 
 from rlbench.benchmark.clock import (
     Calibration,
-    Calibrator,
     Stopwatch,
     SystemClock,
     TimedMethod,
-    make_kernel,
     timed_reader,
 )
 from rlbench.clips.procedural.clip import procedural_clip
 from rlbench.family import Traits
 from rlbench.frames import Size
 from rlbench.run import run_clip
+from rlbench.sampling import allocate_counts
 from rlbench.sanitize import sanitize_frame
 from tests.benchmark.fake_machine import Machine, Worker
 
@@ -46,55 +45,44 @@ class SlowPool:
         return self.pool.read(before, counts)
 
 
-def reading(traits, allocation_ms=3.0, monkeypatch=None):
-    """The first frame's reading on a machine where allocation takes 3 ms and a read 5 ms."""
+@pytest.fixture
+def reading(monkeypatch):
+    """Reads the first frame on a machine where allocation takes 3 ms and a read 5 ms."""
     machine = Machine()
     stopwatch = Stopwatch(machine)
-    worker = Worker(machine, 1.0, 9.0, traits=traits)
-    monkeypatch.setattr(
-        "rlbench.benchmark.clock.sanitize_frame",
-        lambda frame, inputs: sanitize_frame(frame, inputs)._replace(
-            pool=SlowPool(frame.pool, machine)
-        ),
-    )
-    allocate = __import__("rlbench.sampling", fromlist=["_"]).allocate_counts
 
     def slow(*arguments):
-        machine.work(allocation_ms)
-        return allocate(*arguments)
+        machine.work(3.0)
+        return allocate_counts(*arguments)
 
+    def sanitized(frame, inputs):
+        frame = sanitize_frame(frame, inputs)
+        return frame._replace(pool=SlowPool(frame.pool, machine))
+
+    def read(traits):
+        worker = TimedMethod(Worker(machine, 1.0, 9.0, traits=traits), stopwatch)
+        next(iter(run_clip(worker, CLIP, 2.0, timed_reader(stopwatch))))
+        return stopwatch.read_and_reset(traits.adaptive)
+
+    monkeypatch.setattr("rlbench.benchmark.clock.sanitize_frame", sanitized)
     monkeypatch.setattr("rlbench.sampling.allocate_counts", slow)
-    read = timed_reader(stopwatch)
-    next(iter(run_clip(TimedMethod(worker, stopwatch), CLIP, 2.0, read)))
-    return stopwatch.read_and_reset(traits.adaptive)
+    return read
 
 
-def test_allocation_is_charged_apart_from_reading_samples(monkeypatch):
-    frame = reading(Traits(adaptive=True), monkeypatch=monkeypatch)
-    assert (frame.plan, frame.allocate, frame.denoise) == pytest.approx((1.0, 3.0, 9.0))
-    assert frame.sample_fetch == pytest.approx(5.0)
-    assert frame.inference == pytest.approx(13.0)
-    assert frame.processor == pytest.approx(13.0)
-
-
-def test_a_method_that_does_not_adapt_pays_no_allocation(monkeypatch):
-    frame = reading(Traits(), monkeypatch=monkeypatch)
-    assert (frame.allocate, frame.inference) == (0.0, pytest.approx(10.0))
-    assert frame.processor == pytest.approx(10.0)
-
-
-def test_all_passes_count_and_the_pilot_does_not(monkeypatch):
-    traits = Traits(adaptive=True, pilot_spp=0.5, passes=(0.5, 1.0))
-    frame = reading(traits, monkeypatch=monkeypatch)
-    assert (frame.plan, frame.allocate) == pytest.approx((2.0, 6.0))
-    assert frame.sample_fetch == pytest.approx(10.0)
-
-
-def test_the_kernel_of_this_machine_has_a_time_and_a_share():
-    device = torch.device("cpu")
-    calibration = Calibrator(SystemClock(device), make_kernel(device)).measure()
-    assert calibration.ms > 0
-    assert 0 < calibration.processor_share <= 1 or math.isnan(calibration.processor_share)
+@pytest.mark.parametrize(
+    ("traits", "plan", "allocate", "fetch"),
+    [
+        (Traits(adaptive=True), 1.0, 3.0, 5.0),
+        (Traits(), 1.0, 0.0, 5.0),
+        # all passes count, and the pilot does not
+        (Traits(adaptive=True, pilot_spp=0.5, passes=(0.5, 1.0)), 2.0, 6.0, 10.0),
+    ],
+)
+def test_allocation_is_charged_apart_from_reading_samples(reading, traits, plan, allocate, fetch):
+    frame = reading(traits)
+    parts = (frame.plan, frame.allocate, frame.denoise, frame.sample_fetch)
+    assert parts == pytest.approx((plan, allocate, 9.0, fetch))
+    assert frame.inference == frame.processor == pytest.approx(plan + allocate + 9.0)
 
 
 def test_threads_that_compete_wait_for_a_processor():

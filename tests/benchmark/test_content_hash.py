@@ -1,4 +1,4 @@
-"""Identities of cells: what changes the hash of their scores, and what that of their times."""
+"""Identities of cells: what changes their hashes, and which stored cells a cell replaces."""
 
 from __future__ import annotations
 
@@ -10,11 +10,20 @@ import pytest
 from rlbench import registry
 from rlbench.apps.render import clock
 from rlbench.benchmark import latency
-from rlbench.benchmark.cell_key import CellId
+from rlbench.benchmark.cell_key import (
+    FAILED,
+    CellId,
+    CellKey,
+    CellsError,
+    by_slot,
+    check_no_overwrite,
+    superseded_cells,
+)
 from rlbench.benchmark.content_hash import CellIds
 from rlbench.benchmark.run_plan import RunPlan, list_cells
+from rlbench.clips.header import read_header, write_header
 from rlbench.system import provenance
-from tests.benchmark.test_runner import change_code, run_plan
+from tests.benchmark.test_runner import change_code, requires, run_plan, use_changed_plugin
 from tests.conftest import write_noise, write_plugin
 
 
@@ -34,20 +43,6 @@ def test_another_sample_time_of_a_pool_is_another_cell(tmp_path):
         plan = run_plan(folder, "restir", "mean", cost="paper-2080ti")
         ids |= set(cell_ids(plan))
     assert sorted(cell.key.method for cell in ids) == ["mean", "restir", "restir"]
-
-
-def test_the_imports_of_a_plugin_file_decide_its_content_hash(clip_folder, tmp_path, monkeypatch):
-    monkeypatch.syspath_prepend(tmp_path)
-    plugin = write_plugin(tmp_path / "odd.py", "odd")
-    plugin.write_text("import beside_it\n" + plugin.read_text())
-    registry.use_plugin(plugin)
-    plan, ids = run_plan(clip_folder, "odd", "mean"), []
-    for width in (4, 8):
-        (tmp_path / "beside_it.py").write_text(f"WIDTH = {width}\n")
-        ids.append(cell_ids(plan))
-    (odd, mean), (changed, same) = ids
-    assert odd != changed
-    assert mean == same
 
 
 @pytest.mark.parametrize(
@@ -75,10 +70,10 @@ def test_a_plugin_file_has_a_hash_whatever_it_imports(clip_folder, tmp_path, mon
 
 def test_samples_are_charged_again_on_another_machine(clip_folder, monkeypatch):
     plan, ids = run_plan(clip_folder), set()
+    monkeypatch.setattr(latency, "device_name", lambda device: "gpu")
     for cores in (2, 16):
         here = provenance.Machine("cpu", cores, "gpu", "os")
         monkeypatch.setattr(provenance, "machine", lambda here=here: here)
-        monkeypatch.setattr(latency, "device_name", lambda device: "gpu")
         ids |= set(cell_ids(plan))
     assert len(ids) == 2
 
@@ -105,6 +100,10 @@ def test_new_code_measures_scores_again_or_times_alone(
     assert has_new_scores or after.times_hash != before.times_hash
 
 
+def fail() -> str:
+    raise ImportError("no tracer")
+
+
 @pytest.mark.parametrize("is_local", [False, True])
 def test_samples_that_are_traced_here_are_timed_again_by_another_tracer_or_scene(
     tmp_path, monkeypatch, is_local
@@ -112,39 +111,89 @@ def test_samples_that_are_traced_here_are_timed_again_by_another_tracer_or_scene
     device = provenance.machine().name if is_local else "another machine"
     plan = run_plan(write_noise(tmp_path / "noise", scene="temple", device=device))
     ids = []
-    for threads in (1, 2, 2):
-        tracer = f"llvm_ad_rgb, {threads} threads"
-        monkeypatch.setattr(clock, "describe_tracer", lambda tracer=tracer: tracer)
+    for describe in (fail, lambda: "1 thread", lambda: "2 threads", lambda: "2 threads"):
+        monkeypatch.setattr(clock, "describe_tracer", describe)
         ids += cell_ids(plan)
     change_code(monkeypatch, registry.list_entries("scenes")["temple"].target.partition(":")[0])
     ids += cell_ids(plan)
-    one, two, again, changed = ids
-    assert all(each.has_scores_of(one) for each in ids)
+    none, one, two, again, changed = ids
+    assert all(each.has_scores_of(none) and each.times_hash for each in ids)
     assert two == again
-    assert (one == two == changed) == is_local
-    assert (len({one, two, changed}) == 3) == (not is_local)
+    assert len({none, one, two, changed}) == (1 if is_local else 4)
 
 
-def test_a_machine_without_a_tracer_has_an_identity_of_its_times(tmp_path, monkeypatch):
-    def fail():
-        raise ImportError("no tracer")
-
-    plan = run_plan(write_noise(tmp_path / "noise", scene="temple"))
-    monkeypatch.setattr(clock, "describe_tracer", lambda: "llvm_ad_rgb, 2 threads")
-    (traced,) = cell_ids(plan)
-    monkeypatch.setattr(clock, "describe_tracer", fail)
-    (untraced,) = cell_ids(plan)
-    assert untraced.times_hash not in ("", traced.times_hash)
-
-
-def test_another_version_of_a_backend_scores_again(clip_folder, monkeypatch):
-    plan = replace(run_plan(clip_folder, "oidn"), backend="openvino")
-    ids = []
-    for version in ("1", "2"):
-        monkeypatch.setattr(
-            provenance,
-            "package_versions",
-            lambda names, version=version: version if list(names) == ["openvino"] else "same",
-        )
-        ids += cell_ids(plan)
+@pytest.mark.parametrize("package", ["openvino", "numpy"])
+def test_another_version_of_a_backend_or_a_package_scores_again(
+    clip_folder, tmp_path, monkeypatch, package
+):
+    use_changed_plugin(tmp_path, requires("numpy"))
+    plan, ids = run_plan(clip_folder, "oidn" if package == "openvino" else "odd"), []
+    for version in ({package: "1"}, {package: "2"}):
+        monkeypatch.setattr(provenance, "_version", lambda name, known=version: known.get(name, ""))
+        ids += cell_ids(replace(plan, backend="openvino"))
     assert not ids[0].has_scores_of(ids[1])
+
+
+def test_other_content_of_shipped_weights_scores_again(clip_folder, tmp_path, monkeypatch):
+    """`oidn` once had the weights of today's `oidn/retrained`: scores of the two never mix."""
+    weights, ids = tmp_path / "oidn.safetensors", []
+    monkeypatch.setattr(registry, "shipped_weights", lambda name: weights)
+    for content in ("former", "of today"):
+        weights.write_text(content)
+        ids += cell_ids(run_plan(clip_folder, "oidn"))
+    assert not ids[0].has_scores_of(ids[1])
+
+
+@pytest.mark.parametrize(
+    "field", [{"cuts": (1,)}, {"light_changes": (2,)}, {"noise_ceiling_db": (40.0, 41.0, 42.0)}]
+)
+def test_events_and_ceilings_that_a_clip_gets_later_score_again(clip_folder, field):
+    plan = run_plan(clip_folder)
+    (before,) = cell_ids(plan)
+    write_header(clip_folder, replace(read_header(clip_folder), **field))
+    (after,) = cell_ids(run_plan(clip_folder))
+    assert not after.has_scores_of(before)
+
+
+KEY = CellKey("ours/A2@seed0", "city", 0.5, 1, "a CPU, 2 threads", "mini")
+
+STORED = CellId(KEY, "old")
+
+
+@pytest.mark.parametrize(
+    "changes",
+    [{"method": "ours/A2"}, {"clip": "hall"}, {"target_spp": 1.0}, {"seed": 0}, {"device": "GPU"}],
+)
+def test_a_cell_of_another_slot_stays(changes):
+    new = CellId(replace(KEY, **changes), "new")
+    assert superseded_cells(new, by_slot([STORED])) == set()
+
+
+def test_a_cell_replaces_all_others_of_its_slot():
+    new, other = CellId(KEY, "new"), CellId(replace(KEY, first_frames_only=True), "other")
+    assert superseded_cells(new, by_slot([STORED, other, new])) == {STORED, other}
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"preset": "large"}, "seed 1' exist for preset mini .* by preset large, .*another --out"),
+        ({"preset": ""}, "exist for preset mini and would be overwritten by no preset"),
+        ({"first_frames_only": True}, "for the whole clip .*--limit-frames.*Use another --out"),
+    ],
+)
+def test_scores_that_would_be_lost_are_an_error(changes, message):
+    new = CellId(replace(KEY, **changes), "new")
+    with pytest.raises(CellsError, match=f"'ours/A2@seed0 on city at 0.5 spp, .*{message}"):
+        check_no_overwrite(new, by_slot([STORED]))
+    check_no_overwrite(new, by_slot([CellId(KEY, FAILED)]))  # which holds no scores
+    if "first_frames_only" in changes:  # a whole clip may replace its first frames
+        check_no_overwrite(STORED, by_slot([new]))
+
+
+def test_file_names_are_readable_and_differ_with_every_field():
+    ids = [STORED, CellId(KEY, "new")]
+    ids += [CellId(replace(KEY, **{name: "x"}), "old") for name in ("device", "preset")]
+    stems = [cell.file_stem for cell in ids]
+    assert len(set(stems)) == len(stems)
+    assert {stem.rpartition(" ")[0] for stem in stems} == {"ours-A2@seed0 city 0.5spp seed1"}

@@ -20,10 +20,12 @@ from rlbench.benchmark.evaluation import (
     evaluate,
     select_metrics,
 )
-from rlbench.benchmark.runner import measure
+from rlbench.benchmark.runner import CellRunner
 from rlbench.clips.stored import open_clip
+from tests.benchmark.test_cell_images import keep
 from tests.benchmark.test_runner import change_code, run_plan
 from tests.conftest import write_noise, write_plugin
+from tests.measuring import measure_scores
 
 HALF_DB = 0.01  # what half floats may change, see test_cell_images
 
@@ -35,7 +37,7 @@ def measured(tmp_path_factory) -> Path:
     with pytest.MonkeyPatch.context() as patch:
         patch.setenv("RLBENCH_CACHE", str(folder / "cache"))
         plan = run_plan(write_noise(folder / "noise"), "mean", "eaw", spp=(1.0, 2.0))
-        measure(plan, folder / "r", keep_images=True, times="none")
+        keep(plan, folder / "r")
     return folder
 
 
@@ -85,17 +87,13 @@ def test_scores_of_kept_images_are_those_of_the_run(results, clip_folder):
         assert run[same].equals(evaluated[same])
 
 
-def test_scored_cells_are_not_scored_again_and_new_metrics_are(results, clip_folder):
+def test_scored_cells_are_not_scored_again_and_new_metrics_are(results, clip_folder, monkeypatch):
     assert score(results, clip_folder, "psnr") == EvaluationSummary(scored=4)
     before = {file.name: file.stat().st_mtime_ns for file in (results / "evaluated").iterdir()}
     assert score(results, clip_folder, "psnr", "relmse") == EvaluationSummary(scored=4, cached=4)
     after = {file.name: file.stat().st_mtime_ns for file in (results / "evaluated").iterdir()}
     assert before.items() <= after.items()
-
-
-def test_new_code_of_the_ground_truth_replaces_scores(results, clip_folder, monkeypatch):
-    score(results, clip_folder, "psnr")
-    change_code(monkeypatch, "rlbench.benchmark.scoring")
+    change_code(monkeypatch, "rlbench.benchmark.scoring")  # makes the ground truth
     assert score(results, clip_folder, "psnr") == EvaluationSummary(scored=4)
 
 
@@ -105,7 +103,7 @@ def test_scores_of_older_images_are_removed(clip_folder, tmp_path):
         write_plugin(file, "gain", gain=gain)
         registry.clear_plugins()
         registry.use_plugin(file)
-        measure(run_plan(clip_folder, "gain"), tmp_path / "r", keep_images=True, times="none")
+        keep(run_plan(clip_folder, "gain"), tmp_path / "r")
         metrics = ("psnr", "relmse") if gain == 1.0 else ("psnr",)
         score(tmp_path / "r", clip_folder, *metrics)
     rows = table.read(tmp_path / "r" / "evaluated")
@@ -115,20 +113,16 @@ def test_scores_of_older_images_are_removed(clip_folder, tmp_path):
     )
 
 
-def test_a_metric_of_the_whole_clip_has_one_row_a_cell(results, clip_folder):
-    frames = custom("frames", lambda comparisons: float(len(comparisons)), whole_clip=True)
-    score(results, clip_folder, frames)
-    rows = table.read(results / "evaluated")
-    assert rows["value"].tolist() == [3.0] * 4
-    assert set(rows["frame"]) == {table.WHOLE_CLIP}
-
-
-def test_a_metric_reads_motion_and_counts_if_it_needs_them(results, clip_folder):
+def test_a_metric_may_be_of_the_whole_clip_and_read_motion_and_counts(results, clip_folder):
     def moved(comparison):
         has_both = comparison.motion is not None and comparison.counts is not None
         return comparison.counts.float().mean((1, 2, 3)) if has_both else None
 
-    score(results, clip_folder, custom("moved", moved, needs=("motion", "counts")))
+    frames = custom("frames", lambda comparisons: float(len(comparisons)), whole_clip=True)
+    score(results, clip_folder, frames, custom("moved", moved, needs=("motion", "counts")))
+    rows = table.read(results / "evaluated")
+    rows = rows[rows["metric"] == "frames"]
+    assert (rows["value"].tolist(), set(rows["frame"])) == ([3.0] * 4, {table.WHOLE_CLIP})
     values = by_frame(results / "evaluated", "moved").reset_index()
     assert values["value"].to_numpy() == pytest.approx(values["target_spp"].to_numpy())
 
@@ -149,15 +143,6 @@ def test_a_metric_that_fails_is_a_row_with_the_reason_and_is_tried_again(results
     assert not table.read(results / "evaluated")["value"].isna().any()
 
 
-def test_a_remark_of_the_run_stays_on_scores(clip_folder, tmp_path, monkeypatch):
-    monkeypatch.setattr(
-        "rlbench.benchmark.runner.CellRunner._remarks", lambda self, cell: "no test"
-    )
-    measure(run_plan(clip_folder), tmp_path / "r", keep_images=True, times="none")
-    score(tmp_path / "r", clip_folder, "psnr")
-    assert set(table.read(tmp_path / "r" / "evaluated")["note"]) == {"no test"}
-
-
 def test_images_of_another_clip_are_refused(results, tmp_path):
     other = write_noise(tmp_path / "other" / "noise", scene="noise")
     changed = open_clip(other).digest
@@ -168,26 +153,22 @@ def test_images_of_another_clip_are_refused(results, tmp_path):
 
 
 def test_results_without_images_are_refused(clip_folder, tmp_path, results):
-    measure(run_plan(clip_folder), tmp_path / "plain", times="none")
+    measure_scores(run_plan(clip_folder), tmp_path / "plain")
     with pytest.raises(KeptImagesError, match="has no images of any method on noise"):
         score(tmp_path / "plain", clip_folder, "psnr")
     with pytest.raises(KeptImagesError, match="it has eaw, mean on noise"):
         score(results, clip_folder, "psnr", methods=["svgf"])
 
 
-def test_a_metric_whose_package_is_absent_is_an_error_that_names_the_extra(monkeypatch):
-    absent = replace(PSNR, name="absent", requires=("numcodecs",))
-    monkeypatch.setattr(registry, "load_or_explain", lambda group, name: absent)
-    monkeypatch.setattr("rlbench.system.provenance._version", lambda name: "none")
-    with pytest.raises(registry.PluginError, match=r"pip install 'rlbench\[noisebase\]'"):
-        select_metrics(["absent"])
-
-
-def test_an_image_that_is_not_finite_scores_as_in_the_run(clip_folder, tmp_path):
+def test_an_image_that_is_not_finite_scores_as_in_the_run_with_its_remark(
+    clip_folder, tmp_path, monkeypatch
+):
     body = "return samples.mean * float('nan'), None"
     registry.use_plugin(write_plugin(tmp_path / "nan.py", "nan", body=body))
-    measure(run_plan(clip_folder, "nan"), tmp_path / "r", keep_images=True, times="none")
+    monkeypatch.setattr(CellRunner, "_remarks", lambda self, cell: "no test")
+    keep(run_plan(clip_folder, "nan"), tmp_path / "r")
     score(tmp_path / "r", clip_folder, "nonfinite", "psnr")
     rows = table.read(tmp_path / "r" / "evaluated")
     assert set(rows[rows["metric"] == "nonfinite"]["value"]) == {20.0 * 24}
     assert not any(math.isnan(value) for value in rows["value"])
+    assert set(rows["note"]) == {"no test"}

@@ -22,22 +22,26 @@ from rlbench.benchmark.frame_images import (
     write_images,
 )
 from rlbench.benchmark.run_plan import RunPlan
-from rlbench.benchmark.runner import measure
 from rlbench.clips.exr import read_exr
 from rlbench.clips.stored import open_clip
 from rlbench.run import run_clip
 from tests.conftest import write_noise, write_plugin
+from tests.measuring import measure_scores
 
 
 def plan(folder, *methods, spp=(1.0,)):
     return RunPlan(methods, (StoredSource(folder),), spp)
 
 
+def frame_of_mean(folder, frame):
+    return frame_at(run_clip(registry.load_method("mean"), open_clip(folder), 1.0), frame)
+
+
 def test_the_files_of_a_method_are_its_image(clip_folder, tmp_path):
     (sheet,) = write_images(plan(clip_folder, "mean"), 1, tmp_path)
     assert sheet.file == tmp_path / "noise-1spp-01.png"
     assert imread(sheet.file).std() > 0
-    result = frame_at(run_clip(registry.load_method("mean"), open_clip(clip_folder), 1.0), 1)
+    result = frame_of_mean(clip_folder, 1)
     for name, image in (("mean", result.image), ("reference", result.frame.reference.mean)):
         h, w = image.shape[-2:]
         stored = read_exr(tmp_path / "noise-1spp-01" / f"{name}.exr", "RGB", h, w)
@@ -48,10 +52,10 @@ def test_the_files_of_a_method_are_its_image(clip_folder, tmp_path):
 
 
 def test_the_score_on_a_sheet_is_that_of_the_results(clip_folder, tmp_path):
-    measure(plan(clip_folder, "mean"), tmp_path, times="none")
+    measure_scores(plan(clip_folder, "mean"), tmp_path)
     rows = results.read(tmp_path)
     score = rows[(rows["metric"] == "psnr") & (rows["frame"] == 2)]["value"].item()
-    result = frame_at(run_clip(registry.load_method("mean"), open_clip(clip_folder), 1.0), 2)
+    result = frame_of_mean(clip_folder, 2)
     assert method_image("mean", result).psnr == pytest.approx(score, abs=1e-9)
 
 
@@ -60,13 +64,12 @@ def test_a_budget_and_a_clip_have_a_sheet_each_by_default_of_the_last_frame(tmp_
     sheets = list(write_images(RunPlan(("mean", "eaw"), clips, (0.5, 2.0)), -1, tmp_path / "o"))
     names = [f"{clip}-{spp}spp-02.png" for clip in ("attic", "foyer") for spp in (0.5, 2)]
     assert [sheet.file.name for sheet in sheets] == names
-    assert (
-        len(list((tmp_path / "o").glob("*/*.exr"))) == 2 * 2 + 2 * 3
-    )  # eaw takes no half samples; the reference is there, too
+    images = list((tmp_path / "o").glob("*/*.exr"))
+    assert len(images) == 2 * 2 + 2 * 3  # eaw takes no half samples; the reference is there, too
 
 
 def test_pixels_that_are_not_finite_are_magenta_and_counted(clip_folder, tmp_path):
-    result = frame_at(run_clip(registry.load_method("mean"), open_clip(clip_folder), 1.0), 0)
+    result = frame_of_mean(clip_folder, 0)
     image = result.image.clone()
     image[0, 1, 3, 4], image[0, 2, 5, 6] = torch.nan, torch.inf
     pictured = method_image("mean", replace(result, image=image)).image
@@ -101,15 +104,7 @@ def test_a_missing_frame_is_an_error(clip_folder, tmp_path, frame):
         list(write_images(plan(clip_folder, "mean"), frame, tmp_path))
 
 
-def test_several_methods_have_a_row_of_differences_to_the_best(clip_folder, tmp_path):
-    one, two = (
-        imread(next(write_images(plan(clip_folder, *names), 0, tmp_path / names[0])).file)
-        for names in (("mean",), ("eaw", "mean"))
-    )
-    assert two.shape[0] > 1.3 * one.shape[0]
-
-
-def test_sample_counts_of_an_adaptive_method_are_a_row_of_the_sheet(clip_folder, tmp_path):
+def test_a_sheet_has_rows_of_sample_counts_and_of_differences_to_the_best(clip_folder, tmp_path):
     body = "return samples.mean, None"
     plugin = write_plugin(tmp_path / "left.py", "left", traits="adaptive=True", body=body)
     code = plugin.read_text().replace(
@@ -118,8 +113,9 @@ def test_sample_counts_of_an_adaptive_method_are_a_row_of_the_sheet(clip_folder,
     )
     plugin.write_text(code)
     registry.use_plugin(plugin)
-    plain, adaptive = (
-        imread(next(write_images(plan(clip_folder, name), 0, tmp_path / name)).file)
-        for name in ("mean", "left")
+    plain, adaptive, two = (
+        imread(next(write_images(plan(clip_folder, *names), 0, tmp_path / names[0])).file)
+        for names in (("mean",), ("left",), ("eaw", "mean"))
     )
-    assert adaptive.shape[0] > plain.shape[0]  # a row more
+    assert adaptive.shape[0] > plain.shape[0]
+    assert two.shape[0] > 1.3 * plain.shape[0]

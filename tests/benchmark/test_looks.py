@@ -10,10 +10,10 @@ import pytest
 
 from rlbench.benchmark import looks, results
 from rlbench.benchmark.cell_key import CellKey
-from rlbench.benchmark.runner import measure
 from rlbench.system.paths import WriteError
 from tests.benchmark.test_runner import run_plan
 from tests.conftest import write_noise
+from tests.measuring import measure_scores
 
 
 def cell(method="ours", preset="unseen", code="a"):
@@ -25,33 +25,18 @@ def read(folder):
         return list(csv.DictReader(stream))
 
 
-def test_a_run_adds_a_line_for_each_preset(tmp_path):
+def test_a_run_adds_a_line_for_each_preset_of_a_test(tmp_path):
+    looks.record_looks(tmp_path, [cell(preset="train"), cell(preset="")])
+    assert looks.count_looks(tmp_path) == {}
+    assert not (tmp_path / looks.FILE).exists()
     looks.record_looks(tmp_path, [cell(), cell("mean", code="b"), cell(preset="mini")])
     mini, unseen = read(tmp_path)
     assert (mini["preset"], mini["methods"], mini["cells"]) == ("mini", "ours@bf16", "1")
     assert (unseen["preset"], unseen["methods"]) == ("unseen", "mean@bf16 ours@bf16")
-    assert mini["code_hash"] != unseen["code_hash"]
     assert unseen["date"].endswith("Z")
-
-
-def test_other_code_has_another_hash(tmp_path):
-    looks.record_looks(tmp_path, [cell()])
-    looks.record_looks(tmp_path, [cell(code="changed")])
-    first, second = read(tmp_path)
-    assert first["code_hash"] != second["code_hash"]
-    assert looks.count_looks(tmp_path) == {"unseen": 2}
-
-
-def test_nothing_new_is_no_look(tmp_path):
-    looks.record_looks(tmp_path, [])
-    assert looks.count_looks(tmp_path) == {}
-    assert not (tmp_path / looks.FILE).exists()
-
-
-@pytest.mark.parametrize(("preset", "is_test"), [("mini", True), ("train", False), ("", False)])
-def test_only_test_presets_are_counted(tmp_path, preset, is_test):
-    looks.record_looks(tmp_path, [cell(preset=preset)])
-    assert looks.count_looks(tmp_path) == ({preset: 1} if is_test else {})
+    looks.record_looks(tmp_path, [cell(preset="mini", code="changed")])
+    assert looks.count_looks(tmp_path) == {"mini": 2, "unseen": 1}
+    assert len({line["code_hash"] for line in read(tmp_path)}) == 3
 
 
 def test_parallel_runs_lose_no_line_and_write_one_header(tmp_path):
@@ -68,15 +53,9 @@ def test_parallel_runs_lose_no_line_and_write_one_header(tmp_path):
 def test_a_run_is_a_look_once_and_a_finished_one_is_none(tmp_path):
     clip = write_noise(tmp_path / "clip", preset="mini")
     for _ in range(2):
-        measure(run_plan(clip), tmp_path / "r", times="none")
+        measure_scores(run_plan(clip), tmp_path / "r")
     assert looks.count_looks(tmp_path / "r") == {"mini": 1}
     assert results.read(tmp_path / "r").attrs["looks"] == {"mini": 1}
-
-
-def test_a_folder_that_takes_no_file_is_an_error_that_names_it(tmp_path):
-    (tmp_path / "file").write_text("")
-    with pytest.raises(WriteError, match=r"looks\.csv cannot be written"):
-        looks.record_looks(tmp_path / "file", [cell()])
 
 
 @pytest.mark.parametrize(
@@ -104,3 +83,9 @@ def test_nothing_is_written_through_a_link_in_place_of_the_ledger(tmp_path):
     looks.record_looks(tmp_path, [cell()])
     assert (tmp_path / "notes").read_text() == "precious"
     assert looks.count_looks(tmp_path) == {"unseen": 1}
+
+
+def test_a_folder_that_takes_no_file_is_an_error_that_names_it(tmp_path):
+    (tmp_path / "file").write_text("")
+    with pytest.raises(WriteError, match=r"looks\.csv cannot be written"):
+        looks.record_looks(tmp_path / "file", [cell()])

@@ -65,20 +65,17 @@ def test_parameters_are_those_on_the_model_card(table):
     assert set(table[table.method == "mean"].parameters) == {0}
 
 
-def test_the_table_has_each_configuration_at_each_size(table):
-    assert list(table.columns) == list(COLUMNS)
-    names = ["mean", "ours", "ours@openvino", "oidn"]
-    assert list(table.method) == names * 2
-    assert list(zip(table.height, table.width, strict=True)) == [s for s in SIZES for _ in names]
-
-
 def test_a_row_that_needs_two_samples_is_timed_with_two():
     line = measure_speed([Configuration("cross")], [(32, 32)], CPU, repeats=1).iloc[0]
     assert line.denoise_ms > 0
     assert line.state_bytes > 13 * 4  # image, both pilots, depth, normal; and the learner
 
 
-def test_the_parts_of_inference_add_up(table):
+def test_the_table_has_each_configuration_at_each_size_and_its_parts_add_up(table):
+    assert list(table.columns) == list(COLUMNS)
+    names = ["mean", "ours", "ours@openvino", "oidn"]
+    assert list(table.method) == names * 2
+    assert list(zip(table.height, table.width, strict=True)) == [s for s in SIZES for _ in names]
     parts = table.plan_ms + table.allocate_ms + table.denoise_ms
     pd.testing.assert_series_equal(parts, table.inference_ms, check_names=False)
     assert (table.inference_ms > 0).all()
@@ -98,14 +95,24 @@ def test_memory_of_a_frame_is_that_of_its_largest_layers(table):
     assert math.isnan(table[table.method == "ours@openvino"].memory_mb.iloc[0])
 
 
-def test_the_share_of_the_peak_is_work_over_time(table):
+@pytest.mark.parametrize(
+    ("share", "work", "methods"),
+    [
+        ("peak_share", "multiply_adds", ["ours", "oidn"]),
+        ("bandwidth_share", "traffic_bytes", ["mean", "oidn"]),
+    ],
+)
+def test_a_share_is_work_over_time(table, share, work, methods):
+    rows = table[table.method.isin(methods)]
+    ratios = rows[share] / (rows[work] * rows.height * rows.width / rows.inference_ms)
+    assert ratios.max() == pytest.approx(ratios.min())
+    assert (rows[share] > 0).all()
+
+
+def test_a_share_of_the_peak_is_below_one(table):
     oidn = table[table.method == "oidn"].iloc[0]
-    rate = oidn.multiply_adds * 1e3 * 48 * 64 / (oidn.inference_ms / 1e3)
-    ours = table[table.method == "ours"].iloc[0]
-    our_rate = ours.multiply_adds * 1e3 * 48 * 64 / (ours.inference_ms / 1e3)
-    assert oidn.peak_share / ours.peak_share == pytest.approx(rate / our_rate)
     at_most_ms = oidn.inference_ms / oidn.inference_high_ms  # on a busy machine an estimate
-    assert 0 < oidn.peak_share * at_most_ms < 1.5  # of a matrix product at another moment
+    assert oidn.peak_share * at_most_ms < 1.5  # of a matrix product at another moment
 
 
 def test_bytes_moved_are_those_that_operations_read_and_write():
@@ -117,24 +124,14 @@ def test_bytes_moved_are_those_that_operations_read_and_write():
     assert traffic.total == 4 * (300 + 900 + 701)
 
 
-def test_the_share_of_the_bandwidth_is_bytes_over_time(table):
-    rows = table[table.method.isin(["mean", "oidn"])]
-    rates = rows.traffic_bytes * rows.height * rows.width / rows.inference_ms
-    ratios = rows.bandwidth_share / rates
-    assert ratios.max() == pytest.approx(ratios.min())
-    assert (rows.bandwidth_share > 0).all()
-
-
 def test_the_page_shows_every_size_and_how_uncertain_a_time_is(table):
     spoiled = table.copy()
     spoiled["note"] = ["the machine was busy", *[""] * (len(table) - 1)]
     for name, ms in (("", 10.0), ("low_", 8.0), ("high_", 12.0)):
         spoiled.loc[0, f"inference_{name}ms"] = ms
     page = speed_page(spoiled, "a processor")
-    assert "## 64 x 48" in page
-    assert "## 32 x 32" in page
-    assert "| 10.0 ±25 % |" in page
-    assert "`mean`: the machine was busy" in page
+    for text in ("## 64 x 48", "## 32 x 32", "| 10.0 ±25 % |", "`mean`: the machine was busy"):
+        assert text in page
     assert page.count("`ours@openvino`") == 2
 
 

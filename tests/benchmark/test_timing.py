@@ -3,19 +3,26 @@
 from __future__ import annotations
 
 import math
+import re
 from dataclasses import replace
+from pathlib import Path
 
 import pytest
 import torch
 
+from rlbench import registry
 from rlbench.benchmark import latency
+from rlbench.benchmark import results as table
+from rlbench.benchmark.cell_key import CellsError
 from rlbench.benchmark.clip_sources import StoredSource
 from rlbench.benchmark.clock import PARTS
 from rlbench.benchmark.cost import Cost, Scatter
 from rlbench.benchmark.cost_profile import ProfileTime
 from rlbench.benchmark.latency import PartTime, Timing
 from rlbench.benchmark.results import Row
+from rlbench.benchmark.run_outcome import read_outcome
 from rlbench.benchmark.run_plan import CellLoader, RunPlan, list_cells
+from rlbench.benchmark.runner import RunSummary, measure
 from rlbench.benchmark.timing import (
     ScatterMeter,
     TimingCache,
@@ -24,7 +31,10 @@ from rlbench.benchmark.timing import (
     timing_rows,
 )
 from rlbench.parallel.executor import LOCAL, Resources
-from tests.conftest import write_noise
+from rlbench.system import provenance
+from tests.benchmark.test_runner import run_plan, scores, use_method_that_needs_a_file
+from tests.conftest import write_noise, write_plugin
+from tests.measuring import measure_scores
 
 CPU = "EPYC, 2 threads"
 
@@ -57,23 +67,16 @@ def by_metric(timing=TIMING, cost=COST, published=None):
     return {row.metric: row for row in timing_rows(TEMPLATE, timing, cost, published)}
 
 
-def test_the_columns_of_a_frame_add_up_exactly():
+def test_the_columns_of_a_frame_add_up_exactly_and_what_describes_them_is_no_time():
     rows = by_metric()
     parts = [rows[f"{name}_ms"].value for name in ("plan", "allocate", "denoise")]
     assert rows["inference_ms"].value == sum(parts) == 5.5
     assert rows["sampling_ms"].value == 1.5 * 20
     assert rows["frame_ms"].value == 3 + 5.5 + 30
     assert rows["sample_fetch_ms"].convention.endswith("not part of frame_ms")
-
-
-def test_times_are_in_milliseconds_and_what_describes_them_is_not():
-    rows = by_metric()
-    times = [row for row in rows.values() if row.unit == "ms"]
-    assert {row.direction for row in times} == {"lower"}
     others = {row.metric: row.value for row in rows.values() if row.unit != "ms"}
-    assert others["clock_rounds"] == 4
-    assert others["clock_interval"] == 0.01
-    assert others["clock_processor_share"] == 1.9
+    found = [others[f"clock_{name}"] for name in ("rounds", "interval", "processor_share")]
+    assert found == [4, 0.01, 1.9]
     assert all(name.startswith("clock_") for name in others)
 
 
@@ -129,7 +132,6 @@ def test_an_uncertain_sample_makes_the_frame_uncertain_and_not_the_inference():
     [
         (CPU, "EPYC, 2 cores", False),
         (CPU, "Xeon, 2 cores", True),
-        ("NVIDIA H200", "EPYC, 2 cores", True),
         ("NVIDIA H200", "NVIDIA H200", False),
         ("NVIDIA H200", "NVIDIA GeForce RTX 2080 Ti", True),
         (CPU, "", False),  # not known
@@ -189,12 +191,132 @@ def factors(tmp_path, clips) -> dict[str, Scatter]:
     return {cell.header.name: times.cost(cell).scatter for cell in cells}
 
 
-@pytest.mark.parametrize("clips", [("imported", "traced"), ("traced", "imported")])
-def test_a_clip_without_its_scene_neither_takes_nor_gives_a_factor(tmp_path, measured, clips):
-    assert factors(tmp_path, clips) == {"imported": Scatter(1.0, NO_SCENE), "traced": Scatter(1.7)}
-    assert sorted(measured) == ["imported", "traced"]
+@pytest.mark.parametrize(
+    ("clips", "on"),
+    [
+        (("imported", "traced"), ["imported", "traced"]),
+        (("traced", "imported"), ["traced", "imported"]),
+        (("first", "second"), ["first"]),  # clips that can be traced share one
+    ],
+)
+def test_a_clip_without_its_scene_neither_takes_nor_gives_a_factor(tmp_path, measured, clips, on):
+    expected = {clip: Scatter(1.7) for clip in clips} | {"imported": Scatter(1.0, NO_SCENE)}
+    assert factors(tmp_path, clips) == {clip: expected[clip] for clip in clips}
+    assert sorted(measured) == sorted(on)
 
 
-def test_clips_that_can_be_traced_share_one_factor(tmp_path, measured):
-    assert set(factors(tmp_path, ("first", "second")).values()) == {Scatter(1.7)}
-    assert measured == ["first"]
+def times_of(folder: Path, method: str) -> dict[str, float]:
+    rows = table.read(folder)
+    return dict(rows[rows["method"] == method].set_index("metric")["value"])
+
+
+@pytest.mark.parametrize("method", ["mean", "eaw", "ours/by-rule"])
+def test_the_parts_of_a_frame_add_up_exactly(tmp_path, method):
+    folder = write_noise(
+        tmp_path / "noise", sample_ms=2.0, gbuffer_ms=1.5, device=provenance.machine().name
+    )
+    measure(run_plan(folder, method, spp=(2.0,)), tmp_path / "r")
+    times, traits = times_of(tmp_path / "r", method), registry.get_variant(method).traits
+    parts = [times[f"{name}_ms"] for name in ("plan", "allocate", "denoise")]
+    assert times["inference_ms"] == sum(parts)
+    assert times["sampling_ms"] == 2 * 2.0
+    assert times["gbuffer_ms"] == (1.5 if traits.inputs else 0)
+    assert times["frame_ms"] == times["gbuffer_ms"] + sum(parts) + times["sampling_ms"]
+    assert (times["allocate_ms"] > 0) == traits.adaptive
+    assert times["clock_frames"] >= 9
+
+
+def test_a_profile_charges_published_samples_and_inference(clip_folder, tmp_path):
+    plan = run_plan(clip_folder, "mean", "eaw", "svgf", spp=(2.0,), cost="paper-2080ti")
+    measure(plan, tmp_path / "r")
+    share = (20 * 24) / (720 * 720)
+    svgf = times_of(tmp_path / "r", "svgf")
+    assert svgf["sample_ms"] == pytest.approx(26.3 * share)
+    assert svgf["inference_ms"] == pytest.approx(3.9 * share)
+    assert svgf["frame_ms"] == pytest.approx((3.9 + 2 * 26.3) * share)
+    rows = table.read(tmp_path / "r")
+    notes = rows[rows["metric"] == "frame_ms"].set_index("method")["note"]
+    assert notes["svgf"] == notes["mean"] == ""
+    assert "two devices: inference of" in notes["eaw"]
+    assert notes["eaw"].endswith("samples of NVIDIA GeForce RTX 2080 Ti")
+
+
+def test_only_cells_with_scores_are_timed_again(clip_folder, tmp_path):
+    with pytest.raises(CellsError, match=r"no cell of this run is in .*Run without --times again"):
+        measure(run_plan(clip_folder), tmp_path / "r", times="again")
+    measure_scores(run_plan(clip_folder, spp=(1.0,)), tmp_path / "r")
+    done = measure(run_plan(clip_folder, spp=(1.0, 2.0)), tmp_path / "r", times="again")
+    assert (done, done.unscored) == (RunSummary(timed=1), 1)
+    assert set(table.read(tmp_path / "r")["target_spp"]) == {1.0}
+
+
+def test_a_cell_whose_timing_failed_keeps_its_scores_and_is_timed_by_the_next_run(
+    clip_folder, tmp_path
+):
+    needed, plan = use_method_that_needs_a_file(tmp_path), run_plan(clip_folder, "odd")
+    measure_scores(plan, tmp_path / "r")
+    before = scores(tmp_path / "r")
+    needed.unlink()
+    for _ in range(2):
+        done = measure(plan, tmp_path / "r")
+        assert (done, [cell.method for cell in done.failures]) == (RunSummary(failed=1), ["odd"])
+        outcome = read_outcome(plan, RunSummary(), tmp_path / "r")
+        assert re.match("odd: no inference_ms on noise: FileNotFoundError: ", *outcome.missing)
+    needed.touch()
+    assert measure(plan, tmp_path / "r") == RunSummary(timed=1)
+    assert measure(plan, tmp_path / "r") == RunSummary(cached=1)
+    assert times_of(tmp_path / "r", "odd")["inference_ms"] > 0
+    needed.unlink()
+    assert measure(plan, tmp_path / "r", times="again") == RunSummary(failed=1)
+    assert math.isnan(times_of(tmp_path / "r", "odd")["frame_ms"])
+    assert scores(tmp_path / "r") == before
+
+
+def test_all_missing_cells_are_timed_together_before_the_first_is_scored(clip_folder, tmp_path):
+    seen = []
+    measure(
+        run_plan(clip_folder, "mean", "eaw"),
+        tmp_path / "r",
+        on_cell=lambda cell: seen.append(cell.method_name),
+        on_timing=lambda done, total: seen.append((done, total)),
+    )
+    assert seen == [(0, 2), (1, 2), (2, 2), "mean", "eaw"]
+
+
+def test_a_method_that_ends_the_program_does_not_spoil_the_times_of_others(clip_folder, tmp_path):
+    registry.use_plugin(write_plugin(tmp_path / "odd.py", "odd", body="raise SystemExit(0)"))
+    done = measure(run_plan(clip_folder, "odd", "mean"), tmp_path / "r")
+    assert done == RunSummary(measured=1, failed=1)
+    assert times_of(tmp_path / "r", "mean")["clock_rounds"] >= 3
+
+
+@pytest.mark.parametrize(
+    ("header", "options"),
+    [({}, {"cost": "paper-2080ti"}), ({}, {"repeats": 3}), ({"sample_ms": 99.0}, {})],
+)
+def test_what_decides_times_alone_keeps_the_scores_of_a_cell(tmp_path, header, options):
+    here = provenance.machine().name
+    measure(run_plan(write_noise(tmp_path / "noise", device=here)), tmp_path / "r")
+    before = scores(tmp_path / "r")
+    folder = write_noise(tmp_path / "noise", device=here, **header)
+    done = measure(run_plan(folder, **options), tmp_path / "r")
+    assert (done, done.replaced) == (RunSummary(timed=1), 1)
+    assert scores(tmp_path / "r") == before
+    assert len(table.cells(tmp_path / "r")) == 1
+    assert (times_of(tmp_path / "r", "mean")["sample_ms"] == 99.0) == bool(header)
+
+
+def test_a_static_clip_is_timed_separately(tmp_path):
+    log = tmp_path / "log"
+    body = f"print(1, file=open({str(log)!r}, 'a')); return samples.mean, None"
+    registry.use_plugin(write_plugin(tmp_path / "odd.py", "odd", body=body))
+    frames = []
+    for name, second in (("one", {}), ("two", {"static": True}), ("short", {"frames": 1})):
+        log.unlink(missing_ok=True)
+        clips = [write_noise(tmp_path / name / "a"), write_noise(tmp_path / name / "b", **second)]
+        measure(
+            RunPlan(("odd",), tuple(map(StoredSource, clips)), (1.0,), repeats=5), tmp_path / name
+        )
+        frames.append(len(log.read_text().splitlines()))
+    # 3, 3 and 1 frames are scored; each row is timed in rounds of 4 frames
+    assert [count % 4 for count in frames] == [2 * 3 % 4, 2 * 3 % 4, (3 + 1) % 4]

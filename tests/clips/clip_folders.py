@@ -55,3 +55,10 @@ def touch_up(path: Path, channel: str, value: float) -> None:
         planes = {name: np.array(c.pixels) for name, c in file.channels().items()}
     planes[channel][1, 2] = value
     write_exr(path, planes)
+
+
+def edit(folder: Path, old: str, new: str) -> None:
+    """Replace a piece of clip.toml."""
+    text = (folder / "clip.toml").read_text("utf-8")
+    assert old in text
+    (folder / "clip.toml").write_text(text.replace(old, new, 1), "utf-8")

@@ -97,44 +97,30 @@ def test_the_reader_agrees_with_the_library(image):
     assert all(c.is_float for c in header.channels.values())
 
 
-def _with(image: Path, old: bytes, new: bytes) -> Path:
-    content = image.read_bytes()
-    assert content.count(old) >= 1
-    image.write_bytes(content.replace(old, new, 1))
-    return image
+def window(right: int, bottom: int) -> bytes:
+    return struct.pack("<4i", 0, 0, right, bottom)
 
 
 @pytest.mark.parametrize(
     ("old", "new", "message"),
     [
         (b"albedo.B", b"\xfflbedo.B", "not UTF-8|not sorted"),
-        (b"screenWindowWidth", b"screenWindowWidt\xff", "not UTF-8"),
         (b"albedo.B", b"zlbedo.B", "not sorted"),
         (b"dataWindow", b"dbtaWindow", "has no attribute dataWindow"),
         (b"v/1\x01", b"v/1\x02", "it begins with"),
         (b"\x02\x00\x00\x00channels", b"\x02\x08\x00\x00channels", "deep image; flatten"),
-        (b"scanlineimage", b"scanlineimag\x00", None),
-        (
-            struct.pack("<4i", 0, 0, W - 1, H - 1),
-            struct.pack("<4i", 0, 0, W - 1, 2**20),
-            "chunks; the .* bytes after its header are too few",
-        ),
-        (
-            struct.pack("<4i", 0, 0, W - 1, H - 1),
-            struct.pack("<4i", 0, 0, 2**20, 2**20),
-            "claims to be 1048577 x 1048577 pixels",
-        ),
+        (window(W - 1, H - 1), window(W - 1, 2**20), "chunks; the .* its header are too few"),
+        (window(W - 1, H - 1), window(2**20, 2**20), "claims to be 1048577 x 1048577 pixels"),
     ],
 )
 def test_a_header_that_is_wrong_is_explained(image, old, new, message):
-    path = _with(image, old, new)
-    if message is None:
-        assert read_exr_header(path).size == (H, W)
-        return
+    content = image.read_bytes()
+    assert old in content
+    image.write_bytes(content.replace(old, new, 1))
     with pytest.raises(ExrHeaderError, match=message):
-        read_exr_header(path)
+        read_exr_header(image)
     with pytest.raises(ClipError, match="cannot be decoded, truncated or corrupt .*delete it"):
-        read_exr(path, NAMES, H, W)
+        read_exr(image, NAMES, H, W)
 
 
 def test_a_full_disk_leaves_no_file_and_is_explained(tmp_path):
@@ -168,11 +154,7 @@ def test_the_headers_of_all_parts_are_those_that_the_library_reads(tmp_path):
     with OpenEXR.File(str(tmp_path / "parts.exr"), separate_channels=True) as file:
         expected = {part.name(): (sorted(part.channels), (H, W)) for part in file.parts}
     assert found == expected
-
-
-def test_a_file_of_several_parts_is_no_file_of_a_clip(tmp_path):
-    _write_parts(tmp_path / "parts.exr")
-    with pytest.raises(ExrHeaderError, match="it has several parts"):
+    with pytest.raises(ExrHeaderError, match="it has several parts"):  # so no file of a clip
         read_exr_header(tmp_path / "parts.exr")
 
 

@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 import tomllib
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -17,24 +16,19 @@ from rlbench.clips import ClipError, read_header, verify, write_frame, write_hea
 from rlbench.clips.header import BUFFER_CHANNELS
 from rlbench.clips.presets import Preset
 from tests.apps.render.small_scenes import room
-from tests.clips.clip_folders import FRAMES, HEADER
-
-
-def _edit(folder: Path, old: str, new: str) -> None:
-    text = (folder / "clip.toml").read_text("utf-8")
-    assert old in text
-    (folder / "clip.toml").write_text(text.replace(old, new, 1), "utf-8")
-
+from tests.clips.clip_folders import FRAMES, HEADER, edit
 
 # Round trip
 
 
 def test_a_header_comes_back(tmp_path):
     header = replace(HEADER, licence='CC0 "1.0"\n\\ ü 🙂', sample_ms=12.5, static=True, fps=1e-5)
-    header = replace(header, light_changes=(1,))
+    header = replace(header, light_changes=(1,), missing_files=("models/chair.obj", "wood.png"))
     for each in (header, replace(HEADER, sample_ms=2.0, cuts=(1,))):
         write_header(tmp_path, each)
         assert read_header(tmp_path) == each
+        has_missing = "missing_files" in (tmp_path / "clip.toml").read_text("utf-8")
+        assert has_missing == bool(each.missing_files)
 
 
 @settings(deadline=None)
@@ -45,25 +39,13 @@ def test_any_text_survives_in_toml(text, tmp_path_factory):
     assert tomllib.loads((folder / "clip.toml").read_text("utf-8"))["licence"] == text
 
 
-@pytest.mark.parametrize("files", [(), ("models/chair.obj", "wood.png")])
-def test_missing_files_come_back_and_are_written_only_if_there_are_any(tmp_path, files):
-    write_header(tmp_path, replace(HEADER, missing_files=files))
-    assert read_header(tmp_path).missing_files == files
-    assert ("missing_files" in (tmp_path / "clip.toml").read_text()) == bool(files)
-
-
-def test_an_unknown_sample_time_is_nan(folder):
-    assert math.isnan(read_header(folder).sample_ms)
-
-
-def test_keys_that_the_format_does_not_have_are_ignored(folder):
-    _edit(folder, "version = 2", "version = 2\nartist = 'someone'")
-    assert read_header(folder).name == HEADER.name
-
-
-def test_an_integer_is_read_as_a_float_where_the_field_is_one(folder):
-    _edit(folder, "exposure = 0.5", "exposure = 2")
-    assert isinstance(read_header(folder).exposure, float)
+def test_keys_that_the_format_does_not_have_are_ignored_and_integers_read_as_floats(folder):
+    edit(folder, "version = 2", "version = 2\nartist = 'someone'")
+    edit(folder, "exposure = 0.5", "exposure = 2")
+    header = read_header(folder)
+    assert (header.name, header.exposure) == (HEADER.name, 2.0)
+    assert isinstance(header.exposure, float)
+    assert math.isnan(header.sample_ms)  # it is not known
 
 
 # Invalid headers
@@ -89,55 +71,32 @@ def test_a_contradiction_is_an_error(wrong, message):
         replace(HEADER, **wrong)
 
 
-def test_a_contradiction_in_clip_toml_is_reported_as_it_is_from_python(folder):
-    _edit(folder, "exposure = 0.5", "exposure = -1")
-    with pytest.raises(
-        ClipError,
-        match=r"^clip 'street/mini': exposure is -1\.0, expected 1e-12 to 1e\+12; correct clip",
-    ):
-        read_header(folder)
-
-
-OUT_OF_RANGE = [
-    ("exposure = 0.5", "exposure = 1e308", "exposure is 1e[+]308, expected 1e-12 to 1e[+]12"),
-    ("exposure = 0.5", "exposure = nan", "exposure is nan, expected 1e-12"),
-    ("sample_ms = nan", "sample_ms = -1.0", "sample_ms is -1.0, expected 0 to .*, or nan"),
-    ("fps = 24.0", "fps = nan", "fps is nan, expected 1e-06 to 1000000"),
-    ("pool_spp = 4", "pool_spp = 2147483648", "pool_spp is 2147483648, expected 1 to 1024"),
-    ("seed = 0", "seed = -1", "seed is -1, expected 0 to"),
-    ("height = 5", "height = 1000000", "height is 1000000, expected 1 to 65536"),
-    ("frames = 2", "frames = 100001", "frames is 100001, expected 1 to 100000"),
-    ("    32,", "    -32,", "reference_spp lists -32, expected 0 to 2147483647"),
-    ("noise_ceiling_db = []", "noise_ceiling_db = [1e9, 3.0]", "noise_ceiling_db lists 1000000000"),
-    ("pools_ms = []", "pools_ms = [1.0, 2.0]", "pools_ms lists 2 pools, the clip has 1"),
-    ('"path"', '"../../path"', "pools has '../../path', expected letters, digits"),
-    ('"path"', '"a/b"', "pools has 'a/b', expected letters, digits"),
-    ('"street/mini"', '"../street"', "name has '[.][.]', expected letters, digits"),
-    ('"street/mini"', '"/street"', "name has '', expected letters, digits"),
-    ('scene = "street"', 'scene = "a\\nb"', "scene has 'a.*b', expected letters, digits"),
-]
-
-
-@pytest.mark.parametrize(("old", "new", "message"), OUT_OF_RANGE)
-def test_a_value_out_of_range_is_refused_with_what_is_allowed(folder, old, new, message):
-    _edit(folder, old, new)
-    with pytest.raises(ClipError, match=message):
-        read_header(folder)
-
-
 @pytest.mark.parametrize(
     ("old", "new", "message"),
     [
+        ("exposure = 0.5", "exposure = -1", r"exposure is -1\.0, expected 1e-12 .*; correct clip"),
+        ("exposure = 0.5", "exposure = 1e308", "exposure is 1e[+]308, expected 1e-12 to 1e[+]12"),
+        ("exposure = 0.5", "exposure = nan", "exposure is nan, expected 1e-12"),
+        ("sample_ms = nan", "sample_ms = -1.0", "sample_ms is -1.0, expected 0 to .*, or nan"),
+        ("pool_spp = 4", "pool_spp = 2147483648", "pool_spp is 2147483648, expected 1 to 1024"),
+        ("seed = 0", "seed = -1", "seed is -1, expected 0 to"),
+        ("height = 5", "height = 1000000", "height is 1000000, expected 1 to 65536"),
+        ("    32,", "    -32,", "reference_spp lists -32, expected 0 to 2147483647"),
+        ("noise_ceiling_db = []", "noise_ceiling_db = [1e9, 3.0]", "noise_ceiling_db lists 1000"),
+        ("pools_ms = []", "pools_ms = [1.0, 2.0]", "pools_ms lists 2 pools, the clip has 1"),
+        ('"path"', '"../../path"', "pools has '../../path', expected letters, digits"),
+        ('"street/mini"', '"../street"', "name has '[.][.]', expected letters, digits"),
+        ('"street/mini"', '"/street"', "name has '', expected letters, digits"),
+        ('scene = "street"', 'scene = "a\\nb"', "scene has 'a.*b', expected letters, digits"),
+        # of another type
         ('name = "street/mini"', "name = 3", r"Expected `str`, got `int` - at `\$\.name`.*is 3;"),
         ("static = false", "static = 0", r"at `\$\.static`, which is 0;"),
         ("cuts = []", 'cuts = ["1"]', r"at `\$\.cuts\[0\]`, which is \['1'\];"),
-        ("cuts = []", "cuts = 1", r"at `\$\.cuts`, which is 1;"),
         ("frames = 2", "frames = true", r"at `\$\.frames`, which is True;"),
-        ("pools = [", "pools = [[],", r"at `\$\.pools\[0\]`"),
     ],
 )
-def test_a_value_of_another_type_is_reported_with_its_key_and_value(folder, old, new, message):
-    _edit(folder, old, new)
+def test_a_value_out_of_range_is_refused_with_what_is_allowed(folder, old, new, message):
+    edit(folder, old, new)
     with pytest.raises(ClipError, match=message):
         read_header(folder)
 

@@ -14,27 +14,6 @@ def content_key(preset):
     return Job("room", room(), preset, Path("a")).content_key
 
 
-def test_mini_has_main_takes_only_and_standard_has_all():
-    takes = {name: PRESETS[name].takes for name in ("mini", "standard", "paper")}
-    assert takes == {"mini": "main", "standard": "all", "paper": "main"}
-
-
-def test_a_preset_with_extra_buffers_has_another_name_and_content_key():
-    more = PRESETS["mini"].with_buffers(["object"])
-    assert more.name == "mini-views"
-    assert content_key(more) != content_key(PRESETS["mini"])
-
-
-def test_an_unknown_buffer_is_an_error_that_lists_the_available_ones():
-    with pytest.raises(ValueError, match="no G-buffer channel emission to add; available: object"):
-        PRESETS["mini"].with_buffers(["object", "emission"])
-
-
-def test_an_unknown_preset_is_an_error_that_lists_the_available_ones():
-    with pytest.raises(LookupError, match="mini"):
-        get_preset("huge")
-
-
 def test_the_papers_protocol():
     paper = PRESETS["paper"]
     assert (paper.size, paper.frames, paper.pool_spp) == ((720, 720), 20, 8)
@@ -42,16 +21,33 @@ def test_the_papers_protocol():
     assert paper.paths_per_frame == 720 * 720 * 1008
 
 
-def test_a_preset_with_a_radiance_cap_has_another_name_and_content_key():
-    capped = PRESETS["mini"].with_radiance_cap(64.0)
-    assert capped.name == "mini-cap64"
-    assert content_key(capped) != content_key(PRESETS["mini"])
+@pytest.mark.parametrize(
+    ("changed", "name"),
+    [
+        (PRESETS["mini"].with_radiance_cap(64.0), "mini-cap64"),
+        (PRESETS["mini"].with_buffers(["object"]), "mini-views"),
+    ],
+)
+def test_a_changed_preset_has_another_name_and_content_key(changed, name):
+    assert changed.name == name
+    assert content_key(changed) != content_key(PRESETS["mini"])
 
 
-@pytest.mark.parametrize("cap", [0.0, -1.0, float("nan")])
-def test_a_cap_of_zero_or_less_is_an_error(cap):
-    with pytest.raises(ValueError, match="must be above 0"):
-        PRESETS["mini"].with_radiance_cap(cap)
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        (lambda: PRESETS["mini"].with_radiance_cap(0.0), "must be above 0"),
+        (lambda: PRESETS["mini"].with_radiance_cap(float("nan")), "must be above 0"),
+        (
+            lambda: PRESETS["mini"].with_buffers(["object", "emission"]),
+            "no G-buffer channel emission to add; available: object",
+        ),
+        (lambda: get_preset("huge"), "mini"),
+    ],
+)
+def test_what_presets_do_not_have_is_an_error(change, message):
+    with pytest.raises((ValueError, LookupError), match=message):
+        change()
 
 
 def test_a_preset_at_another_size_has_another_name_folder_and_content_key(monkeypatch, tmp_path):
@@ -63,10 +59,8 @@ def test_a_preset_at_another_size_has_another_name_folder_and_content_key(monkey
     assert content_key(large) != content_key(mini)
     (job,) = preset_jobs(large, ["city"])
     assert job.folder == tmp_path / "clips" / "mini-640x360" / "city"
-
-
-def test_a_preset_that_has_clips_of_its_own_at_a_size_is_preferred():
-    assert get_preset("development", (360, 640)) is PRESETS["development-640x360"]
+    own = PRESETS["development-640x360"]  # of which there are clips
+    assert get_preset("development", (360, 640)) is own
 
 
 @pytest.mark.parametrize(

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from matplotlib.image import imread
@@ -16,10 +18,10 @@ from rlbench.benchmark.regression.baseline import ScoreKey
 from rlbench.benchmark.regression.comparison import BaselineDiff
 from rlbench.benchmark.regression.crops import SCALE, SIDE, select_tile, write_crops
 from rlbench.benchmark.run_plan import RunPlan
-from rlbench.benchmark.runner import measure
 from rlbench.clips.stored import open_clip
 from rlbench.run import run_clip
 from tests.conftest import write_noise
+from tests.measuring import measure_scores
 
 DIFF = BaselineDiff(ScoreKey("mean", "foyer", 1.0), "worse", 30.0, 10.0, 0.05)
 
@@ -31,7 +33,7 @@ def clip(tmp_path):
 
 @pytest.fixture
 def table(clip, tmp_path):
-    measure(RunPlan(("mean",), (clip,), (1.0,)), tmp_path / "r", times="none")
+    measure_scores(RunPlan(("mean",), (clip,), (1.0,)), tmp_path / "r")
     return results.read(tmp_path / "r")
 
 
@@ -85,9 +87,8 @@ def test_stored_images_are_shown_and_cut_where_the_error_rose(clip, table, tmp_p
     now[70:78, 90:98] = 0.0
     keep(tmp_path / "r", frame, now)
     keep(tmp_path / "old", frame, before)
-    crops = write_crops(
-        DIFF, table, 0, [clip], tmp_path / "r", tmp_path / "crops", tmp_path / "old"
-    )
+    folders = [tmp_path / name for name in ("r", "crops", "old")]
+    crops = write_crops(DIFF, table, 0, [clip], *folders)
     assert crops.title.endswith("as stored")
     assert list(crops.files) == ["reference", "before", "now", "difference"]
     assert np.unique(pixels(crops.files["now"])).tolist() == [0, round(255 * encode(0.5))]
@@ -99,19 +100,17 @@ def test_stored_images_are_shown_and_cut_where_the_error_rose(clip, table, tmp_p
 def test_without_its_clip_or_weights_a_frame_has_no_crops(clip, table, tmp_path):
     with pytest.raises(ImagesError, match="clip foyer is not here. Name its folder by --clips"):
         write_crops(DIFF, table, 0, [], tmp_path / "r", tmp_path / "crops")
-    labelled = table.assign(method="mean@seed3")
-    diff = BaselineDiff(ScoreKey("mean@seed3", "foyer", 1.0), "worse", 30.0, 10.0, 0.05)
     with pytest.raises(ImagesError, match="Store its images: rlbench run --keep-images"):
-        write_crops(diff, labelled, 0, [clip], tmp_path / "r", tmp_path / "crops")
+        write_labelled("mean@seed3", clip, table, tmp_path)
     assert not (tmp_path / "crops").exists()
-
-
-def test_a_frame_of_a_row_with_kept_tiles_is_computed_again(clip, table, tmp_path):
-    labelled = table.assign(method="mean@tiles")
-    diff = BaselineDiff(ScoreKey("mean@tiles", "foyer", 1.0), "worse", 30.0, 10.0, 0.05)
-    crops = write_crops(diff, labelled, 0, [clip], tmp_path / "r", tmp_path / "crops")
+    crops = write_labelled("mean@tiles", clip, table, tmp_path)
     assert crops.title.startswith("mean@tiles")
     assert crops.title.endswith("computed again")
+
+
+def write_labelled(name, clip, table, folder):
+    diff, labelled = replace(DIFF, key=DIFF.key._replace(method=name)), table.assign(method=name)
+    return write_crops(diff, labelled, 0, [clip], folder / "r", folder / "crops")
 
 
 @pytest.mark.parametrize("size", [(20, 24), (64, 64), (65, 300)])

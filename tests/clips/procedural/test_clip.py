@@ -54,13 +54,8 @@ def cast(numbers: dict[str, np.ndarray], time: float, x: int, y: int, h: int, w:
     nearest = (math.inf, -1, None, np.zeros(3))
     for ball in range(3):
         middle, radius = centre(numbers, ball, time), numbers["radius"][ball]
-        roots = np.roots(
-            [
-                ray @ ray,
-                2 * ray @ (origin - middle),
-                (origin - middle) @ (origin - middle) - radius**2,
-            ]
-        )
+        arm = origin - middle
+        roots = np.roots([ray @ ray, 2 * ray @ arm, arm @ arm - radius**2])
         near = roots.real.min()
         if abs(roots.imag).max() == 0 and 0 < near < nearest[0]:
             point = origin + near * ray
@@ -104,21 +99,14 @@ def track(numbers: dict[str, np.ndarray], hit, time: float, before: float, h: in
     if obj < 3:  # undo the rotation and movement of the sphere
         angle = (before - time) * numbers["spin"][obj]
         arm = point - centre(numbers, obj, time)
-        turn = np.array(
-            [
-                [math.cos(angle), -math.sin(angle), 0],
-                [math.sin(angle), math.cos(angle), 0],
-                [0, 0, 1],
-            ]
-        )
+        cos, sin = math.cos(angle), math.sin(angle)
+        turn = np.array([[cos, -sin, 0], [sin, cos, 0], [0, 0, 1]])
         point = centre(numbers, obj, before) + turn @ arm
     origin, right, down, forward = camera(numbers, before)
     focal = (w / 2) / math.tan(math.radians(30))
     arm = point - origin
-    return np.array([right @ arm, down @ arm]) / (forward @ arm) * focal + [
-        w / 2 - 0.5,
-        h / 2 - 0.5,
-    ]
+    centred = np.array([right @ arm, down @ arm]) / (forward @ arm) * focal
+    return centred + [w / 2 - 0.5, h / 2 - 0.5]
 
 
 @pytest.mark.parametrize("seed", SEEDS)
@@ -163,24 +151,12 @@ def test_albedo_moved_by_motion_is_the_albedo(seed):
 # Reference and samples
 
 
-@pytest.mark.parametrize("seed", SEEDS)
-def test_background_has_infinite_depth_and_no_normal(seed):
-    gbuffer = procedural_clip(seed, SMALL).frames[0].gbuffer
-    sky = gbuffer.depth.isinf()
-    assert sky.any()
-    assert torch.equal(gbuffer.normal.norm(dim=1, keepdim=True) == 0, sky)
-
-
-def test_radiance_on_a_surface_is_albedo_times_one_light():
+def test_both_halves_are_without_noise_and_on_a_surface_albedo_times_one_light():
     """Radiance divided by albedo is grey, because the light has no colour."""
     frame = procedural_clip(1, SMALL).frames[0]
     light = frame.reference.half_a / frame.gbuffer.albedo
     spread = light.amax(1) - light.amin(1)
     assert spread[frame.gbuffer.depth[:, 0].isfinite()].max() < 1e-5
-
-
-def test_both_halves_are_the_noise_free_image():
-    frame = procedural_clip(size=SMALL).frames[1]
     assert torch.equal(frame.reference.half_a, frame.reference.half_b)
 
 
@@ -188,12 +164,6 @@ def factors(frame: Frame) -> torch.Tensor:
     """[s pixels] Samples divided by the reference, without the sky; the noise has no colour."""
     ratio = frame.pool.radiance[0, :, 0] / frame.reference.half_a[0, 0]
     return ratio[:, frame.gbuffer.depth[0, 0].isfinite()].double()
-
-
-@pytest.mark.parametrize("seed", SEEDS)
-def test_the_mean_of_samples_converges_to_the_reference(seed):
-    noise = factors(procedural_clip(seed, Size(1, 24, 32), pool_spp=2000).frames[0])
-    assert abs(noise.mean() - 1) < 4 * noise.std() / math.sqrt(noise.numel())
 
 
 @pytest.mark.parametrize("part", ["calm", "rough"])
@@ -205,22 +175,18 @@ def test_calm_and_rough_pixels_are_both_unbiased(part):
     assert abs(selected.mean() - 1) < 4 * selected.std() / math.sqrt(selected.numel())
 
 
-def test_colours_share_their_noise():
-    frame = procedural_clip(size=SMALL).frames[0]
-    ratio = frame.pool.radiance / frame.reference.half_a[:, None]
-    assert_close(ratio[:, :, 0], ratio[:, :, 2], atol=0, rtol=1e-5)  # float32
-
-
 def test_the_noise_varies_in_space():
     spread = factors(procedural_clip(size=Size(1, 24, 32), pool_spp=500).frames[0]).std(0)
     low, high = torch.quantile(spread, torch.tensor([0.05, 0.95], dtype=torch.float64))
     assert high > 1.5 * low
 
 
-def test_the_sky_has_no_noise():
+def test_the_sky_has_no_noise_and_colours_share_theirs():
     frame = procedural_clip(size=Size(1, 24, 32)).frames[0]
     noise = frame.pool.radiance - frame.reference.half_a[:, None]
     assert (noise.where(frame.gbuffer.depth[:, None].isinf(), 0.0) == 0).all()
+    ratio = frame.pool.radiance / frame.reference.half_a[:, None]
+    assert_close(ratio[:, :, 0], ratio[:, :, 2], atol=0, rtol=1e-5)  # float32
 
 
 def test_fireflies_are_as_rare_as_they_should_be():
@@ -232,15 +198,10 @@ def test_fireflies_are_as_rare_as_they_should_be():
 # Seeds
 
 
-def test_the_same_seed_gives_the_same_clip():
-    first, second = (tensors(procedural_clip(4, SMALL).frames[2]) for _ in range(2))
+def test_the_same_seed_gives_the_same_clip_and_another_seed_another():
+    first, second, other = (tensors(procedural_clip(s, SMALL).frames[2]) for s in (4, 4, 5))
     assert all(torch.equal(first[k], second[k]) for k in first)
-
-
-@pytest.mark.parametrize("name", ["albedo", "depth", "a", "pool"])
-def test_another_seed_gives_another_clip(name):
-    first, second = (tensors(procedural_clip(seed, SMALL).frames[2])[name] for seed in (4, 5))
-    assert not torch.equal(first, second)
+    assert not any(torch.equal(first[k], other[k]) for k in first)
 
 
 def test_a_batch_of_two_is_two_clips():
@@ -251,15 +212,12 @@ def test_a_batch_of_two_is_two_clips():
     assert both.pool.rounding_seeds == alone[0].pool.rounding_seeds + alone[1].pool.rounding_seeds
 
 
-def test_noise_and_rounding_seeds_differ_between_frames():
+def test_frames_of_a_static_clip_differ_in_noise_and_rounding_seeds_alone():
     first, second = procedural_clip(size=SMALL, static=True).frames[:2]
     assert torch.equal(first.reference.half_a, second.reference.half_a)
     assert not torch.equal(first.pool.radiance, second.pool.radiance)
     assert first.pool.rounding_seeds != second.pool.rounding_seeds
-
-
-def test_a_static_clip_has_no_motion():
-    assert procedural_clip(size=SMALL, static=True).frames[3].gbuffer.motion is None
+    assert second.gbuffer.motion is None
 
 
 def test_a_cut_shows_another_world_from_its_frame_on():
@@ -291,12 +249,6 @@ def test_all_buffers_but_depth_are_finite_at_any_time(time):
     clip = procedural_clip(size=SMALL, frames=time + 1, speed=3.0)
     frame = tensors(clip.frames[time])
     assert all(v.isfinite().all() for k, v in frame.items() if k != "depth")
-
-
-@pytest.mark.parametrize("seed", range(6))
-def test_motion_is_a_few_pixels_per_frame(seed):
-    motion = procedural_clip(seed).frames[4].gbuffer.motion
-    assert 0.3 < motion.norm(dim=1).median() < 6  # at a width of 128
 
 
 def test_with_a_still_camera_only_the_spheres_move():
