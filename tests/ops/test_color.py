@@ -23,14 +23,12 @@ def scalar(value: float) -> Tensor:
     return torch.tensor(value, dtype=torch.float64)
 
 
-def test_encoding_equals_kornia():
-    expected = kornia.color.linear_rgb_to_rgb(UNIT)
-    torch.testing.assert_close(encode_srgb(UNIT), expected, atol=1e-6, rtol=0)  # float32 powers
-
-
-def test_decoding_equals_kornia():
-    expected = kornia.color.rgb_to_linear_rgb(UNIT)
-    torch.testing.assert_close(decode_srgb(UNIT), expected, atol=1e-6, rtol=0)  # float32 powers
+@pytest.mark.parametrize(
+    ("curve", "theirs"),
+    [(encode_srgb, kornia.color.linear_rgb_to_rgb), (decode_srgb, kornia.color.rgb_to_linear_rgb)],
+)
+def test_the_curve_and_its_inverse_equal_those_of_kornia(curve, theirs):
+    torch.testing.assert_close(curve(UNIT), theirs(UNIT), atol=1e-6, rtol=0)  # float32 powers
 
 
 @pytest.mark.parametrize("dtype", [torch.float32, torch.float64])
@@ -43,18 +41,17 @@ def test_decoding_inverts_encoding_also_outside_the_unit_interval(dtype):
 
 @pytest.mark.parametrize(
     ("linear", "display"),
-    [(0.0, 0.0), (1.0, 1.0), (0.18, 0.461356), (0.214041, 0.5)],
-    ids=["black", "white", "middle grey", "half of the display range"],
+    [
+        (SRGB_KNEE, 12.92 * SRGB_KNEE),  # the knee itself is on the straight line
+        (0.18, 0.461356),
+        (0.214041, 0.5),
+        (1.0, 1.0),
+        (4.0, 1.055 * 4 ** (1 / 2.4) - 0.055),  # not clipped
+    ],
 )
 def test_known_values(linear, display):
     assert float(encode_srgb(scalar(linear))) == pytest.approx(display, abs=1e-6)
-    assert float(decode_srgb(scalar(display))) == pytest.approx(linear, abs=1e-6)
-
-
-def test_zero_is_exact():
-    zero = torch.zeros(2)
-    assert torch.equal(encode_srgb(zero), zero)
-    assert torch.equal(decode_srgb(zero), zero)
+    assert float(decode_srgb(scalar(display))) == pytest.approx(linear, abs=2e-6)
 
 
 @pytest.mark.parametrize("curve", [encode_srgb, decode_srgb])
@@ -65,21 +62,10 @@ def test_the_curve_has_no_step_at_the_knee(curve):
     assert abs(float(above - below)) < 1e-7
 
 
-def test_the_knee_itself_is_on_the_straight_line():
-    assert float(encode_srgb(scalar(SRGB_KNEE))) == 12.92 * SRGB_KNEE
-    assert float(decode_srgb(scalar(12.92 * SRGB_KNEE))) == pytest.approx(SRGB_KNEE, rel=1e-15)
-
-
 def test_negative_values_stay_on_the_straight_line():
     negative = torch.linspace(-5, 0, 11, dtype=torch.float64)
     assert torch.equal(encode_srgb(negative), 12.92 * negative)
     assert torch.equal(decode_srgb(negative), negative / 12.92)
-
-
-@pytest.mark.parametrize("value", [1.5, 4.0, 1e4])
-def test_values_above_one_are_not_clipped(value):
-    assert float(encode_srgb(scalar(value))) == pytest.approx(1.055 * value ** (1 / 2.4) - 0.055)
-    assert float(decode_srgb(scalar(value))) == pytest.approx(((value + 0.055) / 1.055) ** 2.4)
 
 
 @pytest.mark.parametrize("curve", [encode_srgb, decode_srgb])

@@ -2,15 +2,15 @@
 
 from __future__ import annotations
 
-from typing import Any
+from functools import partial
 
 import pytest
 import torch
 from torch import Tensor
-from torch.utils._python_dispatch import TorchDispatchMode
 
 from rlbench.ops import kernels as kernels_module
 from rlbench.ops.kernels import apply_kernels, splat_kernels
+from tests.ops.tensors import LargestTensor, randn
 
 
 def slow_apply_kernels(kernels: Tensor, image: Tensor) -> Tensor:
@@ -29,10 +29,6 @@ def slow_apply_kernels(kernels: Tensor, image: Tensor) -> Tensor:
     return filtered
 
 
-def randn(*shape: int, seed: int = 0) -> Tensor:
-    return torch.randn(shape, generator=torch.Generator().manual_seed(seed))
-
-
 @pytest.mark.parametrize("side", [1, 3, 5])
 @pytest.mark.parametrize(("h", "w"), [(1, 1), (2, 7), (6, 5)])
 def test_filtering_equals_a_loop(side: int, h: int, w: int) -> None:
@@ -46,31 +42,11 @@ def test_filtering_equals_a_loop(side: int, h: int, w: int) -> None:
     )
 
 
-def test_a_kernel_with_only_its_centre_is_the_identity() -> None:
-    kernels = torch.zeros(1, 25, 4, 6)
-    kernels[:, 12] = 1
-    image = randn(1, 3, 4, 6)
-    assert torch.equal(apply_kernels(kernels, image), image)
-
-
-def test_taps_are_in_reading_order() -> None:
-    kernels = torch.zeros(1, 9, 3, 3)
-    kernels[:, 5] = 1  # middle row, right column
-    image = torch.arange(9.0).view(1, 1, 3, 3)
-    assert apply_kernels(kernels, image)[0, 0].tolist() == [[1, 2, 2], [4, 5, 5], [7, 8, 8]]
-
-
 def test_a_huge_pixel_affects_its_window_alone() -> None:
     image = torch.zeros(1, 1, 11, 11)
     image[..., 5, 5] = 1e30
     touched = apply_kernels(torch.ones(1, 25, 11, 11), image) > 0
     assert int(touched.sum()) == 25
-
-
-def test_gradients_agree_with_finite_differences() -> None:
-    kernels = randn(2, 9, 3, 4).double().requires_grad_()
-    image = randn(2, 2, 3, 4, seed=1).double().requires_grad_()
-    assert torch.autograd.gradcheck(apply_kernels, (kernels, image))
 
 
 def test_the_backward_pass_allows_an_image_without_gradient() -> None:
@@ -79,29 +55,11 @@ def test_the_backward_pass_allows_an_image_without_gradient() -> None:
     assert torch.equal(kernels.grad, torch.full_like(kernels, 2.0))
 
 
-class LargestTensor(TorchDispatchMode):
-    """Records the number of elements of the largest tensor."""
-
-    elements = 0
-
-    def __torch_dispatch__(self, func: Any, types: Any, args: Any = (), kwargs: Any = None) -> Any:
-        result = func(*args, **(kwargs or {}))
-        if isinstance(result, Tensor):
-            self.elements = max(self.elements, result.untyped_storage().nbytes() // 4)
-        return result
-
-
 def test_no_tensor_is_larger_than_the_inputs() -> None:
     kernels, image = randn(1, 25, 32, 32), randn(1, 4, 32, 32)
     with LargestTensor() as largest:
         apply_kernels(kernels, image)
-    assert largest.elements <= max(kernels.numel(), 4 * 36 * 36)  # unfolding: 4 * 25 * 32 * 32
-
-
-@pytest.mark.parametrize("taps", [0, 4, 8, 16, 24])
-def test_a_number_of_taps_that_is_no_odd_square_is_an_error(taps: int) -> None:
-    with pytest.raises(ValueError, match=f"not {taps}"):
-        apply_kernels(torch.ones(1, taps, 3, 3), torch.ones(1, 1, 3, 3))
+    assert largest.size <= 4 * kernels.numel()  # floats; unfolding: 4 times as many
 
 
 def slow_splat(kernels: Tensor, image: Tensor, stride: int) -> Tensor:
@@ -147,13 +105,6 @@ def test_splatting_with_normalized_kernels_keeps_the_sum(taps: int, stride: int)
     torch.testing.assert_close(splatted.sum((2, 3)), image.sum((2, 3)))
 
 
-def test_a_splat_goes_where_its_tap_points() -> None:
-    kernels = torch.zeros(1, 9, 3, 3)
-    kernels[:, 5] = 1  # to the right
-    image = torch.arange(1, 10.0).view(1, 1, 3, 3)
-    assert splat_kernels(kernels, image)[0, 0].tolist() == [[0, 1, 5], [0, 4, 11], [0, 7, 17]]
-
-
 def test_splatting_is_the_transpose_of_gathering_inside_the_image() -> None:
     kernels, a, b = randn(1, 25, 9, 9), torch.zeros(1, 1, 9, 9), torch.zeros(1, 1, 9, 9)
     a[..., 2:7, 2:7], b[..., 2:7, 2:7] = randn(5, 5, seed=1), randn(5, 5, seed=2)
@@ -161,22 +112,28 @@ def test_splatting_is_the_transpose_of_gathering_inside_the_image() -> None:
     torch.testing.assert_close(gathered, (splat_kernels(kernels, a) * b).sum())
 
 
-@pytest.mark.parametrize(("taps", "stride"), [(9, 1), (16, 2)])
-def test_gradients_of_splatting_agree_with_finite_differences(taps: int, stride: int) -> None:
+@pytest.mark.parametrize(
+    ("operation", "taps"),
+    [(apply_kernels, 9), (splat_kernels, 9), (partial(splat_kernels, stride=2), 16)],
+)
+def test_gradients_agree_with_finite_differences(operation, taps: int) -> None:
     kernels = randn(2, taps, 3, 4).double().requires_grad_()
     image = randn(2, 2, 3, 4, seed=1).double().requires_grad_()
-    assert torch.autograd.gradcheck(lambda k, i: splat_kernels(k, i, stride), (kernels, image))
+    assert torch.autograd.gradcheck(operation, (kernels, image))
 
 
-@pytest.mark.parametrize(("taps", "stride"), [(0, 1), (16, 1), (24, 1), (25, 2), (1, 2)])
-def test_taps_that_do_not_fit_the_stride_are_an_error(taps: int, stride: int) -> None:
-    with pytest.raises(ValueError, match=f"at stride {stride} .*, not {taps}"):
-        splat_kernels(torch.ones(1, taps, 3, 3), torch.ones(1, 1, 3, 3), stride)
-
-
-def test_an_image_smaller_than_the_reach_is_an_error() -> None:
-    with pytest.raises(ValueError, match="reach 2 pixels beyond the border.*pad the image"):
-        splat_kernels(torch.ones(1, 25, 1, 4), torch.ones(1, 1, 1, 4))
+@pytest.mark.parametrize(
+    ("operation", "taps", "side", "words"),
+    [(apply_kernels, taps, 3, f"not {taps}") for taps in (0, 4, 24)]
+    + [
+        (partial(splat_kernels, stride=stride), taps, 3, f"at stride {stride} .*, not {taps}")
+        for taps, stride in ((0, 1), (16, 1), (24, 1), (25, 2), (1, 2))
+    ]
+    + [(splat_kernels, 25, 1, "reach 2 pixels beyond the border.*pad the image")],
+)
+def test_taps_that_do_not_fit_are_an_error(operation, taps: int, side: int, words: str) -> None:
+    with pytest.raises(ValueError, match=words):
+        operation(torch.ones(1, taps, side, 4), torch.ones(1, 1, side, 4))
 
 
 @pytest.mark.parametrize(("taps", "stride"), [(9, 1), (25, 1), (16, 2), (36, 2)])
