@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import pytest
 import torch
-from torch import Tensor
 
 from methods.ours.history import radiance_statistics
 from methods.ours.method import build
@@ -19,6 +18,7 @@ from rlbench.ops.accumulation import (
     is_cut,
     surface_features,
 )
+from rlbench.ops.color import luminance
 from rlbench.ops.reprojection import reproject
 
 SIZE = (1, 40, 56)
@@ -37,11 +37,6 @@ def random_samples(seed: int, most: int = 4) -> Samples:
 def random_radiance(seed: int) -> AccumulatedRadiance:
     samples = random_samples(seed)
     return frame_radiance(samples.radiance, samples.counts)
-
-
-def luminance(radiance: Tensor) -> Tensor:
-    red, green, blue = radiance.unbind(-3)
-    return (0.212671 * red + 0.715160 * green + 0.072169 * blue).unsqueeze(-3)
 
 
 def test_with_full_trust_it_is_the_mean_of_the_samples_of_all_frames():
@@ -146,10 +141,8 @@ def test_even_radiance_keeps_its_brightness_when_reprojected_beside_holes():
     """Unfilled holes would be black, and bilinear taps would mix them in."""
     (frame,) = procedural_clip(seed=3, size=Size(1, 32, 32), frames=1)
     even = {"albedo": torch.full((1, 3, 32, 32), 0.5), "motion": torch.full((1, 2, 32, 32), 0.4)}
-    gbuffer, method = (
-        GBuffer({**frame.gbuffer.buffers, **even}),
-        build("", torch.device("cpu"), "random"),
-    )
+    gbuffer = GBuffer({**frame.gbuffer.buffers, **even})
+    method = build("", torch.device("cpu"), "random")
     counts = torch.zeros(1, 1, 32, 32, dtype=torch.long)
     counts[..., ::4, ::4] = 1
     samples = Samples(torch.full((1, 1, 3, 32, 32), 2.0) * counts.unsqueeze(1), counts)
