@@ -7,7 +7,7 @@ import sys
 import pytest
 
 from rlbench.checks.stress.section import list_sections, load_section, select_sections
-from rlbench.errors import OptionError, PluginError
+from rlbench.errors import PluginError
 from tests.conftest import install_plugin
 
 MODULE = """
@@ -52,8 +52,3 @@ def test_a_plugin_that_is_no_section_of_its_own_is_refused(
 def test_selected_sections_keep_the_order_of_the_suite():
     assert select_sections(["metrics", "budgets"]) == ["budgets", "metrics"]
     assert select_sections() == list(list_sections())
-
-
-def test_an_unknown_section_is_an_error_with_the_nearest_one():
-    with pytest.raises(OptionError, match="--only budget: no such section. Did you mean 'budgets'"):
-        select_sections(["budget"])
