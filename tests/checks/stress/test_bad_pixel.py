@@ -50,7 +50,7 @@ def test_a_fault_is_caught(method, verdicts):
 
 
 def test_an_exception_is_a_failure_that_names_it():
-    results = broken.run_section(bad_pixel, broken.RejectsBright()).values()
+    results = broken.run_section(bad_pixel, STATELESS["RejectsBright"]).values()
     (failed,) = (result for result in results if result.verdict is FAILED)
     assert failed.check == "sample-65504"
     assert "ArithmeticError: too bright" in failed.found
