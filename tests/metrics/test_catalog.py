@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import math
 from functools import partial
+from pathlib import Path
 
 import pytest
 import torch
 
 from metrics import catalog, catalog_video
 from metrics.catalog import MS_SSIM, PSNR, SSIM
+from metrics.conventions import CONVENTIONS
 from rlbench import registry
 
 ALL = [getattr(module, name) for module in (catalog, catalog_video) for name in module.__all__]
@@ -17,6 +19,7 @@ METRICS = [metric for metric in ALL if not metric.whole_clip]
 INSTALLED = registry.load_run_metrics().values()
 JUDGING = [metric for metric in INSTALLED if "counts" not in metric.needs]
 DIRECTED = [metric for metric in METRICS if metric.direction and not metric.scores_previous]
+PAGE = (Path(__file__).parents[2] / "docs/reference/metrics.md").read_text().splitlines()
 SIZE = (2, 3, 165, 170)
 
 
@@ -120,5 +123,16 @@ def test_similarity_is_nan_below_its_window_size(generic):
     assert PSNR.at(10, 96) is PSNR
 
 
-def test_every_metric_states_its_convention_and_its_source():
-    assert [m.name for m in METRICS if len(m.convention) <= 10 or not m.source] == []
+def test_the_page_has_the_row_of_every_metric():
+    for metric in (registry.load_plugin("metrics", n) for n in registry.list_plugins("metrics")):
+        convention = metric.convention.replace("|", "&#124;")
+        signed = "-" if "counts" in metric.needs else "zero"  # a metric of effort judges no image
+        unit, better = metric.unit or "-", metric.direction or signed
+        assert len(metric.convention) > 10
+        assert metric.source
+        assert f"| `{metric.name}` | {unit} | {better} | {convention} | {metric.source} |" in PAGE
+
+
+def test_the_page_has_the_row_of_every_convention():
+    rows = {f"| `{each.name}` | {each.sentence} |" for each in CONVENTIONS.values()}
+    assert rows <= set(PAGE)

@@ -160,17 +160,13 @@ def test_independent_errors_flicker_by_their_standard_deviation(sigma):
 def test_a_frame_whose_motion_leaves_the_image_everywhere_has_no_score():
     outside = torch.full((1, 2, *SIZE[2:]), 100.0)
     cut = change_along(random_error(1), random_error(0), outside)
+    broken = change_along(random_error(1) * math.nan, random_error(0), outside)
     after = change_along(random_error(2), random_error(1), None)
     assert warped_error(cut).isnan()
+    assert warped_error(broken).isnan()  # or methods would be averaged over different frames
     assert flicker(cut, after).isnan()
     assert flicker(after, cut).isnan()
     assert warped_error(after).isfinite()
-
-
-def test_a_cut_has_no_score_for_a_broken_image_either():
-    """Otherwise methods would be averaged over different frames."""
-    outside = torch.full((1, 2, *SIZE[2:]), 100.0)
-    assert warped_error(change_along(random_error(1) * math.nan, random_error(0), outside)).isnan()
 
 
 def test_a_nonfinite_pixel_changes_by_the_most_that_a_display_can_show():

@@ -1,4 +1,4 @@
-"""A stress run: every job has results, whatever a method does, and finished jobs are reused."""
+"""Sections are found by name; every job has results, and finished jobs are reused."""
 
 from __future__ import annotations
 
@@ -10,7 +10,6 @@ import torch
 
 from rlbench import registry
 from rlbench.checks.result import Verdict
-from rlbench.checks.stress import section
 from rlbench.checks.stress.jobs import (
     StressJob,
     content_hash,
@@ -19,11 +18,17 @@ from rlbench.checks.stress.jobs import (
     run_jobs,
     write_results,
 )
+from rlbench.checks.stress.section import list_sections, load_section, select_sections
+from rlbench.errors import PluginError
 from rlbench.parallel.executor import LOCAL
 from rlbench.parallel.process_executor import ProcessExecutor
-from tests.conftest import write_plugin
+from tests.conftest import install_plugin, write_plugin
 
 CPU = torch.device("cpu")
+EMPTY_SECTION = """
+from rlbench.checks.stress.section import SuiteSection
+SECTION = SuiteSection(lambda is_quick: iter(()))
+"""
 
 
 def jobs_of(*methods, only=("budgets",)):
@@ -109,10 +114,7 @@ def test_a_method_that_cannot_run_here_is_skipped(tmp_path, method, reason):
 
 def run_section(folder, monkeypatch, *lines):
     """The finished jobs of two methods under a section of these lines."""
-    (folder / "new_section.py").write_text("\n".join(lines))
-    monkeypatch.syspath_prepend(folder)
-    monkeypatch.delitem(sys.modules, "new_section", raising=False)  # that of another test
-    monkeypatch.setitem(section.CORE_SECTIONS, "new", "new_section:SECTION")
+    install_section(folder, monkeypatch, "new", "\n".join(lines))
     return run(jobs_of("mean", "svgf", only=("new",)), folder)
 
 
@@ -154,3 +156,44 @@ def test_two_processes_give_the_results_of_one_and_survive_a_crash(tmp_path):
 def test_one_job_and_a_gpu_use_this_process():
     assert default_executor(CPU, 1) is LOCAL
     assert default_executor(torch.device("cuda"), 100) is LOCAL
+
+
+# sections
+
+
+@pytest.mark.parametrize("name", list_sections())
+def test_every_section_can_be_loaded(name):
+    assert callable(load_section(name).run)
+
+
+def test_selected_sections_keep_the_order_of_the_suite():
+    assert select_sections(["metrics", "budgets"]) == ["budgets", "metrics"]
+    assert select_sections() == list(list_sections())
+
+
+def install_section(folder, monkeypatch, name, content):
+    """A package that registers the stress section `name`."""
+    (folder / "new_section.py").write_text(content)
+    install_plugin(folder, monkeypatch, "stress", f"{name} = new_section:SECTION")
+    monkeypatch.delitem(sys.modules, "new_section", raising=False)  # that of another test
+
+
+def test_a_section_of_a_plugin_is_listed_last(tmp_path, monkeypatch):
+    install_section(tmp_path, monkeypatch, "zebra", EMPTY_SECTION)
+    assert list(list_sections())[-1] == "zebra"
+    assert list(load_section("zebra").run(True)) == []
+
+
+@pytest.mark.parametrize(
+    ("name", "content", "problem"),
+    [
+        ("budgets", EMPTY_SECTION, "has the name of a section of rlbench"),
+        ("zebra", "SECTION = 'zebra'", "an object of type str"),
+    ],
+)
+def test_a_plugin_that_is_no_section_of_its_own_is_refused(
+    tmp_path, monkeypatch, name, content, problem
+):
+    install_section(tmp_path, monkeypatch, name, content)
+    with pytest.raises(PluginError, match=problem):
+        load_section(name)
