@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 import pytorch_msssim
 import torch
-from metric_images import encoded_pair, frame_of, image_pair
-from skimage.metrics import structural_similarity
+from metric_images import encoded_pair, frame_of, image_pair, skimage_ssim
 from torchmetrics.functional.image import structural_similarity_index_measure
 
 from metrics.catalog import MS_SSIM
@@ -44,10 +43,7 @@ def test_ssim_equals_torchmetrics_inside_the_image():
 def test_ssim_equals_scikit_image(size):
     pair = encoded_pair(*size, n=1)
     x, y = (each[0].double().numpy() for each in pair)
-    expected = structural_similarity(
-        x, y, data_range=1.0, gaussian_weights=True, sigma=1.5,
-        use_sample_covariance=False, channel_axis=0,
-    )  # fmt: skip
+    expected = skimage_ssim(x, y, channel_axis=0)
     assert float(ssim(*pair)) == pytest.approx(expected, abs=2e-5)
 
 
@@ -57,10 +53,7 @@ def skimage_ms_ssim(x, y, scales):
     score = 1.0
     for scale in range(scales):
         k1 = 0.01 if scale == scales - 1 else 1e6  # a huge K1 leaves contrast only
-        term = structural_similarity(
-            x, y, data_range=1.0, gaussian_weights=True, sigma=1.5,
-            use_sample_covariance=False, K1=k1, K2=0.03,
-        )  # fmt: skip
+        term = skimage_ssim(x, y, K1=k1, K2=0.03)
         score *= max(term, 0.0) ** (SCALE_WEIGHTS[scale] * total)
         x, y = halve(x), halve(y)
     return score

@@ -74,6 +74,7 @@ def test_an_outlier_is_replaced_as_by_a_slow_twin(pixel):
     limited = limit_fireflies(radiance, COUNTS)
     assert not torch.equal(limited, radiance)
     assert torch.allclose(limited, limit_slowly(radiance), rtol=1e-4)
+    assert torch.allclose(mean_without_fireflies(radiance, COUNTS), limited.mean(1))
 
 
 @pytest.mark.parametrize(("excess", "left"), [(1.0001, 1 - 4e-4), (2.0, 1 / 16)])

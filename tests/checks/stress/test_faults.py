@@ -124,6 +124,13 @@ def test_only_one_of_both_clips_moves_and_both_get_new_noise():
     assert not torch.equal(first.pool.radiance[STATIC], second.pool.radiance[STATIC])
 
 
+def test_samples_of_the_static_clip_are_unbiased():
+    frames = long_clip(200, CPU)
+    mean = torch.stack([frame.pool.radiance[STATIC].mean(0) for frame in frames]).mean(0)
+    ratio = mean.sum() / frames.frames[0].reference.mean[STATIC].sum()
+    assert ratio == pytest.approx(1.0, abs=0.01)  # 400,000 samples: a standard error below 0.002
+
+
 def test_state_bytes_count_tensors_and_other_values_at_any_depth():
     state = {"a": [torch.zeros(3)], "text": "x"}
     longer = {"a": [torch.zeros(3), torch.zeros(5)], "text": "x" * 101}
