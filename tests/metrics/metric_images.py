@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import torch
+from skimage.metrics import structural_similarity
 
 from metrics.conventions import SRGB
 from metrics.metric import Comparison
@@ -24,3 +25,9 @@ def frame_of(image, reference):
 def encoded_pair(*size, convention=SRGB, **options):
     """The images of `image_pair` as a convention shows them."""
     return frame_of(*image_pair(*size, **options)).encode(convention)
+
+
+def skimage_ssim(x, y, **options):
+    """SSIM by scikit-image, with the window of Wang et al. 2004, of images in [0, 1]."""
+    window = {"gaussian_weights": True, "sigma": 1.5, "use_sample_covariance": False}
+    return structural_similarity(x, y, data_range=1.0, **window, **options)

@@ -22,29 +22,23 @@ def scored(metric):
 
 relmse, relmse_trimmed, smape, bias = map(scored, (RELMSE, RELMSE_TRIMMED, SMAPE, BIAS))
 rel_l2 = scored(REL_L2)
+FORMULAS = {  # of the three channels of a pixel in image and reference
+    relmse: lambda x, r: ((x - r) ** 2 / (r * r + 0.01)).mean(),
+    rel_l2: lambda x, r: ((x - r) ** 2).mean() / (r.mean() ** 2 + 0.01),
+    smape: lambda x, r: (abs(x - r) / (abs(x) + abs(r) + 0.01)).mean(),
+}
 
 
 @pytest.mark.parametrize("size", [(5, 9), (1, 1)])
-def test_relmse_equals_a_loop(size):
-    image, reference = image_pair(*size)
-    expected = []
-    for x, r in zip(image.double(), reference.double(), strict=True):
-        terms = [
-            (p - q) ** 2 / (q * q + 0.01) for p, q in zip(x.flatten(), r.flatten(), strict=True)
-        ]
-        expected.append(float(sum(terms) / len(terms)))
-    assert relmse(image, reference).tolist() == pytest.approx(expected, rel=1e-6)  # float32 result
-
-
-@pytest.mark.parametrize("size", [(5, 9), (1, 1)])
-def test_rel_l2_equals_a_loop_over_pixels(size):
+@pytest.mark.parametrize("metric", FORMULAS)
+def test_an_error_equals_a_loop_over_pixels(metric, size):
     image, reference = image_pair(*size)
     expected = []
     for x, r in zip(image.double(), reference.double(), strict=True):
         pixels = zip(x.flatten(1).T, r.flatten(1).T, strict=True)
-        terms = [float(((p - q) ** 2).mean() / (q.mean() ** 2 + 0.01)) for p, q in pixels]
+        terms = [float(FORMULAS[metric](*pixel)) for pixel in pixels]
         expected.append(sum(terms) / len(terms))
-    assert rel_l2(image, reference).tolist() == pytest.approx(expected, rel=1e-6)  # float32 result
+    assert metric(image, reference).tolist() == pytest.approx(expected, rel=1e-6)  # float32 result
 
 
 @pytest.mark.parametrize("exposure", [1.0, 0.01])
@@ -68,68 +62,32 @@ def test_trimmed_relmse_leaves_out_fireflies_but_no_pixel_that_is_not_finite():
     assert float(relmse_trimmed(image, reference)) > 1e4 * clean
 
 
-@pytest.mark.parametrize("size", [(5, 9), (1, 1)])
-def test_smape_equals_a_loop(size):
-    image, reference = image_pair(*size)
-    pairs = zip(image.double().flatten(1), reference.double().flatten(1), strict=True)
-    expected = [
-        sum(float(abs(p - q) / (abs(p) + abs(q) + 0.01)) for p, q in zip(x, r, strict=True))
-        / len(x)
-        for x, r in pairs
-    ]
-    assert smape(image, reference).tolist() == pytest.approx(expected, rel=1e-6)
-
-
-@pytest.mark.parametrize("value", NONFINITE)
-def test_a_nonfinite_pixel_has_the_largest_symmetric_error(value):
-    reference = torch.full((1, 3, 10, 10), 0.3)
-    image = reference.clone()
-    image[0, 1, 4, 4] = value
-    assert float(smape(image, reference)) == pytest.approx(0.01)
-
-
-def test_relmse_of_black_against_black_is_zero():
-    black = torch.zeros(1, 3, 8, 8)
-    assert relmse(black, black).tolist() == [0.0]
-
-
 @pytest.mark.parametrize("value", [*NONFINITE, 1e38, -1e38])
-@pytest.mark.parametrize("metric", ["relmse", "rel_l2", "mse_debiased"])
+@pytest.mark.parametrize("metric", [relmse, rel_l2, scored(MSE_DEBIASED)])
 def test_linear_errors_of_extreme_pixels_are_finite_and_large(metric, value):
     image, reference = image_pair(16, 16, n=1)
     damaged = image.clone()
     damaged[0, 0, 3, 3] = value
-    score = {"relmse": relmse, "rel_l2": rel_l2, "mse_debiased": scored(MSE_DEBIASED)}[metric]
-    assert math.isfinite(float(score(damaged, reference)))
-    assert float(score(damaged, reference)) > 1e5 * float(score(image, reference))
+    assert math.isfinite(float(metric(damaged, reference)))
+    assert float(metric(damaged, reference)) > 1e5 * float(metric(image, reference))
 
 
 @pytest.mark.parametrize("value", NONFINITE)
-def test_a_nonfinite_pixel_is_at_least_as_bad_as_any_finite_one(value):
-    image, reference = image_pair(16, 16, n=1)
-    damaged, huge = image.clone(), image.clone()
-    damaged[0, :, 3, 3], huge[0, :, 3, 3] = value, 3e38
-    assert float(relmse(damaged, reference)) >= float(relmse(huge, reference))
-
-
-def noisy_halves(seed, noise=0.5):
-    g = torch.Generator().manual_seed(seed)
-    truth = torch.full((400, 3, 8, 8), 0.5)  # 400 independent trials in one batch
-    a, b = (truth + noise * torch.randn(truth.shape, generator=g) for _ in range(2))
-    return truth + 0.1, a, b  # squared error 0.01
+def test_a_nonfinite_pixel_has_symmetric_error_one_and_is_counted_once(value):
+    reference = torch.full((2, 3, 10, 10), 0.3)
+    image = reference.clone()
+    image[0, 1:, 4, 4] = value
+    assert smape(image, reference).tolist() == pytest.approx([0.01, 0])
+    assert nonfinite(image).tolist() == [1, 0]
 
 
 def test_the_mean_of_the_debiased_error_is_the_true_error():
-    scores = mse_debiased(*noisy_halves(1)).double()
+    g = torch.Generator().manual_seed(1)
+    truth = torch.full((400, 3, 8, 8), 0.5)  # 400 independent trials in one batch
+    a, b = (truth + 0.5 * torch.randn(truth.shape, generator=g) for _ in range(2))
+    scores = mse_debiased(truth + 0.1, a, b).double()
     standard_error = float(scores.std()) / math.sqrt(len(scores))
     assert abs(float(scores.mean()) - 0.01) < 4 * standard_error
-
-
-def test_the_plain_error_includes_the_noise_of_the_reference():
-    image, a, b = noisy_halves(1)
-    scores = (image - (a + b) / 2).square().flatten(1).mean(1).double()
-    standard_error = float(scores.std()) / math.sqrt(len(scores))
-    assert float(scores.mean()) - 0.01 > 40 * standard_error  # by noise^2 / 2 = 0.125
 
 
 def test_the_debiased_error_of_equal_halves_is_the_plain_error():
@@ -145,28 +103,8 @@ def test_bias_is_the_excess_radiance_in_percent(gain):
     torch.testing.assert_close(bias(reference * gain, reference), expected, atol=1e-4, rtol=0)
 
 
-def test_bias_of_zero_mean_noise_is_within_its_standard_error():
-    image, reference = image_pair(70, 70, noise=0.3)
-    error = 30 * reference.square().sum((1, 2, 3)).sqrt() / reference.sum((1, 2, 3))
-    assert (bias(image, reference).abs() < 4 * error).all()
-
-
 @pytest.mark.parametrize("metric", [relmse, bias, scored(MSE_DEBIASED)])
 def test_radiance_beyond_half_floats_in_image_and_reference_is_no_error(metric):
     _, reference = image_pair(16, 16, n=1)
     reference[0, :, 3, 3] = 1e6
     assert float(metric(reference, reference)) == 0
-
-
-@pytest.mark.parametrize("value", NONFINITE)
-def test_a_nonfinite_pixel_counts_as_bias(value):
-    image, reference = image_pair(16, 16, n=1)
-    image[0, 0, 3, 3] = value
-    assert float(bias(image, reference)) < -1000
-
-
-def test_nonfinite_counts_pixels_not_channels():
-    image = torch.zeros(2, 3, 5, 5)
-    image[0, :, 1, 1] = math.nan
-    image[0, 2, 3, 3] = -math.inf
-    assert nonfinite(image).tolist() == [2.0, 0.0]

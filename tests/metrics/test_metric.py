@@ -21,13 +21,6 @@ def comparison(value=0.5, previous=None, **given):
     return Comparison.of(torch.full_like(half, value), half, half + 0.2, previous=previous, **given)
 
 
-def test_derived_images_are_computed_once():
-    frame = comparison()
-    assert frame.display_image is frame.display_image
-    assert frame.reference is frame.reference
-    assert frame.reference.unique().tolist() == pytest.approx([0.4])
-
-
 @pytest.mark.parametrize("value", [math.nan, math.inf, -math.inf])
 def test_a_nonfinite_pixel_is_displayed_as_far_from_the_reference_as_possible(value):
     half = torch.tensor([0.9, 0.1, 0.9]).view(1, 3, 1, 1).repeat(1, 1, 2, 2)
@@ -51,9 +44,16 @@ def test_two_frames_before_keep_what_they_computed_and_older_ones_are_forgotten(
     assert fourth.previous.previous.change_of_error is change
 
 
-def test_a_metric_cannot_read_more_frames_than_a_comparison_keeps():
-    with pytest.raises(ValueError, match="previous_frames=3"):
-        Metric("drift", "", "lower", "four frames", lambda c: c.image, previous_frames=3)
+@pytest.mark.parametrize(
+    ("options", "words"),
+    [
+        ({"previous_frames": MAX_PREVIOUS + 1}, "previous_frames=3"),
+        ({"whole_clip": True}, "give it scored_by_run=False"),
+    ],
+)
+def test_a_metric_that_no_run_could_score_is_an_error(options, words):
+    with pytest.raises(ValueError, match=words):
+        Metric("vdp", "JOD", "higher", "four frames", lambda c: c.image, **options)
 
 
 @pytest.mark.parametrize(
@@ -69,11 +69,6 @@ def test_a_metric_cannot_read_more_frames_than_a_comparison_keeps():
 def test_a_comparison_says_what_it_has(given, known):
     frame = comparison(**given)
     assert {name for name in ("counts", "max_samples", "motion") if frame.has(name)} == known
-
-
-def test_a_metric_of_whole_clips_cannot_be_scored_by_a_run():
-    with pytest.raises(ValueError, match="give it scored_by_run=False"):
-        Metric("vdp", "JOD", "higher", "all frames", lambda frames: 0.0, whole_clip=True)
 
 
 class DisplayCurves(TorchDispatchMode):

@@ -9,16 +9,14 @@ import torch
 from skimage.metrics import peak_signal_noise_ratio
 
 from metrics.catalog import PSNR, TPSNR
-from metrics.catalog_video import FLICKER, IMAGE_FLICKER, PSNR_LATE, WARPED_ERROR
+from metrics.catalog_video import DRIFT, FLICKER, IMAGE_FLICKER, PSNR_LATE, WARPED_ERROR, drift
 from metrics.display import encode_display
 from metrics.metric import Comparison
-from metrics.psnr import CAP_DB
 from metrics.temporal import (
     MIN_WEIGHT,
     change_of_error,
     flicker,
     locate_previous,
-    tpsnr,
     warp,
     warped_error,
 )
@@ -162,17 +160,13 @@ def test_independent_errors_flicker_by_their_standard_deviation(sigma):
 def test_a_frame_whose_motion_leaves_the_image_everywhere_has_no_score():
     outside = torch.full((1, 2, *SIZE[2:]), 100.0)
     cut = change_along(random_error(1), random_error(0), outside)
+    broken = change_along(random_error(1) * math.nan, random_error(0), outside)
     after = change_along(random_error(2), random_error(1), None)
     assert warped_error(cut).isnan()
+    assert warped_error(broken).isnan()  # or methods would be averaged over different frames
     assert flicker(cut, after).isnan()
     assert flicker(after, cut).isnan()
     assert warped_error(after).isfinite()
-
-
-def test_a_cut_has_no_score_for_a_broken_image_either():
-    """Otherwise methods would be averaged over different frames."""
-    outside = torch.full((1, 2, *SIZE[2:]), 100.0)
-    assert warped_error(change_along(random_error(1) * math.nan, random_error(0), outside)).isnan()
 
 
 def test_a_nonfinite_pixel_changes_by_the_most_that_a_display_can_show():
@@ -221,11 +215,6 @@ def test_tpsnr_equals_the_psnr_of_changes_by_scikit_image():
         assert score == pytest.approx(expected, abs=1e-4)  # float32
 
 
-def test_an_error_constant_over_time_does_not_lower_tpsnr():
-    error = random_error(0)
-    assert tpsnr(error, error).item() == CAP_DB
-
-
 @pytest.mark.parametrize("frame", [0, 1])
 def test_a_nonfinite_pixel_has_the_largest_temporal_error(frame):
     images, grey = torch.full((2, 1, 3, 4, 5), 0.5), torch.full((1, 3, 4, 5), 0.5)
@@ -242,3 +231,25 @@ def test_a_late_frame_is_scored_as_the_image_of_the_frame_before():
     late = Comparison.of(images[1], references[1], references[1], previous=frames[0])
     as_shown = Comparison.of(images[0], references[1], references[1])
     assert PSNR_LATE.score(late).tolist() == PSNR.score(as_shown).tolist()
+
+
+@pytest.mark.parametrize(
+    ("scores", "expected"),
+    [
+        ([20.0] * 24, 0.0),
+        ([20.0] * 6 + [30.0] * 12 + [19.0, 19.0, 19.0, 17.0, 17.0, 17.0], -2.0),
+        ([20.0, 25.0], 5.0),  # a quarter has at least one frame
+        ([math.nan, 25.0, 25.0, 25.0], math.nan),
+    ],
+)
+def test_drift_is_the_last_quarter_less_the_first(scores, expected):
+    assert drift(scores) == pytest.approx(expected, nan_ok=True)
+
+
+def test_frames_and_their_psnr_give_the_same_drift():
+    right = torch.full((1, 3, 16, 16), 0.5)
+    errors = [random_error(frame, right.shape, 0.1 + 0.02 * frame) for frame in range(8)]
+    frames = [DRIFT.compare(right + error, right, right) for error in errors]
+    by_frame = [float(PSNR.score(frame)[0]) for frame in frames]
+    assert float(DRIFT.score(frames)) == pytest.approx(drift(by_frame))
+    assert drift(by_frame) < 0

@@ -1,15 +1,21 @@
-"""Accumulated radiance: closed forms of its mean and weight, and the filling of holes."""
+"""Accumulated radiance: its mean and weight, the filling of holes, and what of it remains."""
 
 from __future__ import annotations
 
 import pytest
 import torch
-from torch import Tensor
 
 from methods.ours.history import radiance_statistics
 from methods.ours.method import build
 from rlbench.clips.procedural.clip import procedural_clip
 from rlbench.frames import GBuffer, Samples, Size
+from rlbench.ops import (
+    find_static_pixels,
+    log_forward,
+    repair_spp,
+    reproject_radiance,
+    weigh_by_similarity,
+)
 from rlbench.ops.accumulation import (
     AccumulatedRadiance,
     accumulate,
@@ -19,7 +25,8 @@ from rlbench.ops.accumulation import (
     is_cut,
     surface_features,
 )
-from rlbench.ops.reprojection import reproject
+from rlbench.ops.color import luminance
+from rlbench.ops.reprojection import reproject, reproject_bicubic
 
 SIZE = (1, 40, 56)
 
@@ -37,11 +44,6 @@ def random_samples(seed: int, most: int = 4) -> Samples:
 def random_radiance(seed: int) -> AccumulatedRadiance:
     samples = random_samples(seed)
     return frame_radiance(samples.radiance, samples.counts)
-
-
-def luminance(radiance: Tensor) -> Tensor:
-    red, green, blue = radiance.unbind(-3)
-    return (0.212671 * red + 0.715160 * green + 0.072169 * blue).unsqueeze(-3)
 
 
 def test_with_full_trust_it_is_the_mean_of_the_samples_of_all_frames():
@@ -146,10 +148,8 @@ def test_even_radiance_keeps_its_brightness_when_reprojected_beside_holes():
     """Unfilled holes would be black, and bilinear taps would mix them in."""
     (frame,) = procedural_clip(seed=3, size=Size(1, 32, 32), frames=1)
     even = {"albedo": torch.full((1, 3, 32, 32), 0.5), "motion": torch.full((1, 2, 32, 32), 0.4)}
-    gbuffer, method = (
-        GBuffer({**frame.gbuffer.buffers, **even}),
-        build("", torch.device("cpu"), "random"),
-    )
+    gbuffer = GBuffer({**frame.gbuffer.buffers, **even})
+    method = build("", torch.device("cpu"), "random")
     counts = torch.zeros(1, 1, 32, 32, dtype=torch.long)
     counts[..., ::4, ::4] = 1
     samples = Samples(torch.full((1, 1, 3, 32, 32), 2.0) * counts.unsqueeze(1), counts)
@@ -201,3 +201,49 @@ def test_networks_read_the_relative_deviation_of_the_samples():
     statistics = radiance_statistics(frame_radiance(samples.radiance, samples.counts))
     torch.testing.assert_close(statistics[:, :1], torch.full((1, 1, 2, 2), 0.5), rtol=0.03, atol=0)
     assert ((statistics >= 0) & (statistics < 1)).all()
+
+
+# history
+
+
+SMALL = (1, 1, 12, 10)
+
+
+def test_radiance_moves_linearly_and_the_image_in_log_transfer() -> None:
+    torch.manual_seed(0)
+    mean = torch.rand(1, 3, 12, 10) + 0.5
+    image = torch.rand(1, 3, 12, 10) + 0.5
+    square = mean.square().mean(1, keepdim=True)
+    motion = torch.full((1, 2, 12, 10), 0.25)
+    radiance = AccumulatedRadiance(mean, square, torch.ones(SMALL))
+    moved = reproject_radiance(radiance, image, motion)
+    one_by_one = [reproject_bicubic(x, motion)[0] for x in (mean, square, log_forward(image))]
+    for actual, expected in zip(moved, one_by_one, strict=True):
+        torch.testing.assert_close(actual, expected, rtol=1e-5, atol=1e-6)  # sums in another order
+
+
+def test_a_broken_moment_does_not_spread() -> None:
+    mean = torch.full((1, 3, 12, 10), 0.5)
+    mean[..., 5, 5] = torch.nan
+    radiance = AccumulatedRadiance(mean, torch.full(SMALL, 0.25), torch.ones(SMALL))
+    moved = reproject_radiance(radiance, torch.full((1, 3, 12, 10), 0.5), None)
+    torch.testing.assert_close(moved[0], torch.full((1, 3, 12, 10), 0.5))
+
+
+def test_a_number_that_is_no_count_is_replaced_by_a_neighbour() -> None:
+    spp = torch.full(SMALL, 4.0)
+    spp[..., 2, 2], spp[..., 6, 6], spp[..., 9, 9] = torch.inf, -1.0, 2e4
+    assert (repair_spp(spp) == 4).all()
+
+
+def test_the_weight_falls_with_similarity_and_ends_at_a_thousandth() -> None:
+    similarity = torch.tensor([1.0, 0.5, 3e-4, 0.0]).view(1, 1, 1, 4)
+    weight = weigh_by_similarity(torch.full((1, 1, 1, 4), 2.0), similarity)
+    assert weight.flatten().tolist() == [2.0, 1.0, 0.0, 0.0]
+
+
+def test_a_pixel_is_static_if_its_surface_is_the_same_and_does_not_move() -> None:
+    similarity = torch.tensor([0.9, 0.9, 0.4]).view(1, 1, 1, 3)
+    motion = torch.tensor([[0.0, 0.01, 0.0], [0.0005, 0.0, 0.0]]).view(1, 2, 1, 3)
+    assert find_static_pixels(similarity, motion).flatten().tolist() == [True, False, False]
+    assert find_static_pixels(similarity, None).flatten().tolist() == [True, True, False]

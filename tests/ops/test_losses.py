@@ -15,7 +15,6 @@ from rlbench.ops.losses import (
     MS_SSIM_WEIGHTS,
     UNIFORM_WEIGHTS,
     display_mse,
-    l1,
     l1_ms_ssim_loss,
     log_loss,
     log_transfer_loss,
@@ -80,10 +79,7 @@ def test_ms_ssim_of_one_scale_equals_ssim_of_kornia():
 
 def test_ms_ssim_of_two_scales_equals_the_formula_of_the_paper():
     x, y = pair(24, 32, n=1)
-    weights = (
-        MS_SSIM_WEIGHTS[0] / sum(MS_SSIM_WEIGHTS[:2]),
-        MS_SSIM_WEIGHTS[1] / sum(MS_SSIM_WEIGHTS[:2]),
-    )
+    weights = tuple(weight / sum(MS_SSIM_WEIGHTS[:2]) for weight in MS_SSIM_WEIGHTS[:2])
     slow = sum(slow_ms_ssim(x[0, c], y[0, c], weights) for c in range(3)) / 3
     assert float(ms_ssim(x, y)) == pytest.approx(slow, abs=1e-5)  # float32 against float64
 
@@ -102,11 +98,6 @@ def test_an_image_smaller_than_the_window_is_an_error():
         ms_ssim(*pair(10, 40))
 
 
-def test_ms_ssim_of_equal_images_is_one():
-    image, _ = pair(32, 32)
-    torch.testing.assert_close(ms_ssim(image, image), torch.ones(2))
-
-
 @pytest.mark.parametrize(("a", "b"), [(0.0, 0.5), (0.2, 0.8), (1e3, 0.0)])
 def test_ms_ssim_of_constant_images_is_their_luminance_term(a, b):
     x, y = torch.full((1, 3, 16, 16), a), torch.full((1, 3, 16, 16), b)
@@ -120,11 +111,9 @@ def test_the_gradient_of_ms_ssim_equals_that_of_pytorch_msssim():
     mine, theirs = (x.clone().requires_grad_() for _ in range(2))
     ms_ssim(mine, y).mean().backward()
     pytorch_msssim.ms_ssim(theirs, y, data_range=1).backward()
-    assert mine.grad is not None
-    assert theirs.grad is not None
-    torch.testing.assert_close(
-        mine.grad, theirs.grad, atol=1e-3 * float(theirs.grad.abs().max()), rtol=0
-    )  # MS_SSIM_WEIGHTS sums to 1.0001 and is rescaled here; float32 as above
+    # MS_SSIM_WEIGHTS sums to 1.0001 and is rescaled here; float32 as above
+    tolerance = 1e-3 * float(theirs.grad.abs().max())
+    torch.testing.assert_close(mine.grad, theirs.grad, atol=tolerance, rtol=0)
 
 
 @pytest.mark.parametrize("sign", [1, -1])
@@ -133,7 +122,6 @@ def test_gradients_of_the_mixed_loss_are_finite(sign):
     x, y = pair(48, 48)
     x = (0.5 + sign * (x - 0.5)).requires_grad_()
     l1_ms_ssim_loss(x, y).backward()
-    assert x.grad is not None
     assert torch.isfinite(x.grad).all()
     assert x.grad.any()
 
@@ -141,12 +129,8 @@ def test_gradients_of_the_mixed_loss_are_finite(sign):
 def test_the_mixed_loss_is_16_percent_l1_and_84_percent_dissimilarity():
     x, y = pair(32, 40)
     expected = 0.16 * (x - y).abs().mean() + 0.84 * (1 - ms_ssim(x, y).mean())
-    torch.testing.assert_close(l1_ms_ssim_loss(x, y), expected)
-
-
-def test_the_mixed_loss_is_float32_under_autocast():
-    x, y = pair(48, 48)
     plain = l1_ms_ssim_loss(x, y)
+    torch.testing.assert_close(plain, expected)
     with torch.autocast("cpu", torch.bfloat16):
         assert torch.equal(l1_ms_ssim_loss(x, y), plain)
 
@@ -161,19 +145,10 @@ def test_smape_equals_a_loop(scale):
     assert float(smape(x, y)) == pytest.approx(math.fsum(terms) / len(terms), rel=1e-5)
 
 
-def test_l1_of_a_shifted_image_is_the_shift():
-    _, y = pair(16, 16)
-    assert float(l1(y - 0.25, y)) == pytest.approx(0.25, rel=1e-5)
-
-
-def test_temporal_l1_ignores_a_constant_error():
-    x, y = pair(16, 16)
-    assert float(temporal_l1(x + 0.3, x + 0.1, y + 0.2, y)) < 1e-6  # float32 rounding
-
-
 def test_temporal_l1_measures_flicker_against_a_static_reference():
     x, y = pair(16, 16)
     assert float(temporal_l1(x + 0.1, x - 0.1, y, y)) == pytest.approx(0.2, rel=1e-5)
+    assert float(temporal_l1(x + 0.3, x + 0.1, y + 0.2, y)) < 1e-6  # a constant error is none
 
 
 @pytest.mark.parametrize("value", [0.5, 0.02, 1e-4])
@@ -183,12 +158,9 @@ def test_log_loss_depends_on_relative_changes_alone(value):
     assert decrease.item() == pytest.approx(-0.02 * math.log(0.9), rel=1e-4)
     log_loss(loss).backward()
     assert float(loss.grad) == pytest.approx(0.02 / value)
-
-
-def test_log_loss_of_a_perfect_image_has_zero_gradient():
-    loss = torch.tensor(0.0, requires_grad=True)
-    log_loss(loss).backward()
-    assert float(loss.grad) == 0
+    perfect = torch.tensor(0.0, requires_grad=True)
+    log_loss(perfect).backward()
+    assert float(perfect.grad) == 0
 
 
 def test_the_display_error_is_that_of_psnr_on_displayable_images():

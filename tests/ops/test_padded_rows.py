@@ -1,4 +1,4 @@
-"""Padded rows: packing, margins, neighbours at fixed offsets, chunks; and filter stencils."""
+"""Padding; rows with margins, neighbours at fixed offsets, chunks; and filter stencils."""
 
 from __future__ import annotations
 
@@ -7,6 +7,7 @@ import torch
 
 from rlbench.ops import padded_rows
 from rlbench.ops.padded_rows import PaddedRows
+from rlbench.ops.padding import crop, pad
 from rlbench.ops.stencils import atrous_taps, box_taps
 
 SIZES = [(1, 1, 1, 3), (1, 5, 7, 3), (2, 4, 6, 5), (3, 9, 2, 8)]
@@ -17,13 +18,6 @@ def numbered_images(rows: PaddedRows) -> torch.Tensor:
     """Images whose pixels are 1, 2, 3 and so on."""
     count = rows.n * rows.h * rows.w
     return torch.arange(1.0, count + 1).view(rows.n, 1, rows.h, rows.w)
-
-
-@every_size
-def test_unpacking_undoes_packing(size):
-    rows = PaddedRows(*size)
-    images = torch.cat((numbered_images(rows), -numbered_images(rows)), 1)
-    assert torch.equal(rows.unpack(rows.pack(images)), images)
 
 
 @every_size
@@ -80,10 +74,24 @@ def test_taps_their_opposites_and_the_centre_make_the_whole_kernel(taps, count):
     assert len(offsets) == count == 2 * len(taps) + 1
 
 
-def test_the_spline_sums_to_one_over_its_centre():
-    assert 1 + 2 * sum(tap.weight for tap in atrous_taps(4)) == pytest.approx(64 / 9)
-
-
 def test_the_spline_is_the_square_of_1_4_6_4_1():
+    assert 1 + 2 * sum(tap.weight for tap in atrous_taps(4)) == pytest.approx(64 / 9)
     corner = next(tap for tap in atrous_taps(2) if (tap.down, tap.right) == (4, -4))
     assert corner.weight == pytest.approx((1 / 16) ** 2 / (6 / 16) ** 2)
+
+
+@pytest.mark.parametrize(
+    ("size", "padded_size"),
+    [((16, 32), (16, 32)), ((1, 1), (16, 16)), ((17, 31), (32, 32)), ((5, 48), (16, 48))],
+)
+def test_padded_sides_are_the_next_multiples_and_cropping_undoes_padding(size, padded_size):
+    image = torch.rand(2, 3, *size)
+    padded = pad(image, 16)
+    assert padded.shape[-2:] == padded_size
+    assert torch.equal(crop(padded, *size), image)
+
+
+def test_padding_replicates_the_border():
+    padded = pad(torch.arange(6.0).view(1, 1, 2, 3), 4)
+    expected = torch.tensor([[0.0, 1, 2, 2], [3, 4, 5, 5], [3, 4, 5, 5], [3, 4, 5, 5]])
+    assert torch.equal(padded[0, 0], expected)

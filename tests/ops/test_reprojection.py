@@ -22,6 +22,12 @@ def motion(reach: float = 3.0) -> torch.Tensor:
     return (2 * unit - 1) * reach
 
 
+def source(n: int, y: int, x: int) -> tuple[float, float]:
+    """The position that pixel (x, y) of image n moves from."""
+    dx, dy = motion()[n, :, y, x].tolist()
+    return x + dx, y + dy
+
+
 def constant(dx: float, dy: float) -> torch.Tensor:
     return torch.tensor([float(dx), float(dy)]).view(1, 2, 1, 1).expand(N, 2, H, W)
 
@@ -36,14 +42,7 @@ def test_no_motion_is_the_identity(warp):
     assert valid.all()
 
 
-@BOTH
-def test_zero_motion_is_the_identity_up_to_rounding(warp):
-    warped, valid = warp(history(), constant(0, 0))
-    torch.testing.assert_close(warped, history(), atol=1e-5, rtol=0)  # float32 grid coordinates
-    assert valid.all()
-
-
-@pytest.mark.parametrize(("dx", "dy"), [(1, 0), (0, 1), (-2, 3), (5, -4), (-13, 8)])
+@pytest.mark.parametrize(("dx", "dy"), [(0, 0), (1, 0), (0, 1), (-2, 3), (5, -4), (-13, 8)])
 @BOTH
 def test_whole_pixel_motion_shifts_the_image(warp, dx, dy):
     warped, valid = warp(history(), constant(dx, dy))
@@ -78,7 +77,7 @@ def test_bicubic_reprojection_equals_a_loop_with_the_kernel_of_keys_and_clamping
     assert torch.equal(valid, reproject(history(), motion())[1])
     for n in range(N):
         for y, x in valid[n, 0].nonzero().tolist():
-            px, py = (float(v) for v in motion()[n, :, y, x] + torch.tensor([x, y]))
+            px, py = source(n, y, x)
             left, top = math.floor(px), math.floor(py)
             summed, nearest = torch.zeros(C), []
             for j in range(top - 1, top + 3):
@@ -112,12 +111,9 @@ def test_a_pixel_is_valid_if_all_taps_of_non_zero_weight_are_inside():
     for n in range(N):
         for y in range(H):
             for x in range(W):
-                px, py = (float(v) for v in motion()[n, :, y, x] + torch.tensor([x, y]))
-                taps = [
-                    (math.floor(px), math.floor(py)),
-                    (math.ceil(px), math.ceil(py)),
-                ]
-                inside = all(0 <= i < W and 0 <= j < H for i, j in taps)
+                px, py = source(n, y, x)
+                inside = 0 <= math.floor(px) <= math.ceil(px) < W
+                inside &= 0 <= math.floor(py) <= math.ceil(py) < H
                 assert bool(valid[n, 0, y, x]) == inside
 
 

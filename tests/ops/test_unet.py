@@ -10,29 +10,19 @@ from rlbench.ops.unet import UNet
 from rlbench.ops.unet_widths import BASE_WIDTHS, FAST_WIDTHS, UNetWidths
 
 SMALL_WIDTHS = UNetWidths(32, 24, 32, 40, 48, (56, 56), (48, 48), (32, 32), (32, 16))
-
-
-ENCODER = [
-    "enc_conv0",
-    "enc_conv1",
-    "enc_conv2",
-    "enc_conv3",
-    "enc_conv4",
-    "enc_conv5a",
-    "enc_conv5b",
+NAMES = [
+    *(f"enc_conv{level}" for level in (0, 1, 2, 3, 4, "5a", "5b")),
+    *(f"dec_conv{level}{half}" for level in (4, 3, 2, 1) for half in "ab"),
+    "dec_conv0",
 ]
-DECODER = [f"dec_conv{level}{half}" for level in (4, 3, 2, 1) for half in "ab"]
-NAMES = [*ENCODER, *DECODER, "dec_conv0"]
 
 
 @pytest.mark.parametrize(
     ("inputs", "widths", "parameters"),
     [
         (3, BASE_WIDTHS, 914_627),
-        (6, BASE_WIDTHS, 917_219),
         (7, BASE_WIDTHS, 918_083),
         (9, BASE_WIDTHS, 919_811),  # in half precision, the size of OIDN's own weights file
-        (10, BASE_WIDTHS, 920_675),
         (32, BASE_WIDTHS, 939_683),
         (32, SMALL_WIDTHS, 261_939),
         (9, FAST_WIDTHS, 320_035),
@@ -73,18 +63,10 @@ def test_decoder_features_are_ordered_coarse_to_fine_with_the_documented_channel
 
 
 def test_the_output_is_the_last_convolution_of_the_finest_features():
+    """It is linear: outputs can be negative."""
     net, x = UNet(4, widths=SMALL_WIDTHS), torch.rand(1, 4, 16, 32)
     torch.testing.assert_close(net(x), net.dec_conv0(net.decoder_features(x)[-1]))
-
-
-def test_the_last_layer_is_linear():
-    """Outputs can be negative, and negating the last layer negates them."""
-    net, x = UNet(4, widths=SMALL_WIDTHS), torch.rand(1, 4, 16, 16)
-    image = net(x)
-    with torch.no_grad():
-        net.dec_conv0.weight.neg_()
-        assert image.min() < 0
-        torch.testing.assert_close(net(x), -image)
+    assert net(x).min() < 0
 
 
 def test_the_top_skip_is_the_raw_input():

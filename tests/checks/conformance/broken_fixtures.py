@@ -69,18 +69,54 @@ class Stateless(Correct):
 
 
 @dataclass(frozen=True)
-class Edited(Correct):
-    """Changes the image of the correct method, but not its state."""
+class Changed(Correct):
+    """Does something to its inputs, and changes the density and the image of the correct method.
 
+    Its state is that of the correct method.
+    """
+
+    touch: Callable[..., Any] = lambda gbuffer, samples: None
+    redirect: Callable[..., Any] = lambda density: density
     edit: Callable[..., Any] = lambda image, samples: image
 
+    def plan(self, gbuffer, samples, state):
+        return self.redirect(super().plan(gbuffer, samples, state))
+
     def denoise(self, gbuffer, samples, state):
+        self.touch(gbuffer, samples)
         image, state = super().denoise(gbuffer, samples, state)
         return self.edit(image, samples), state
 
 
+def changed(**changes):
+    return lambda traits: Changed(traits, **changes)
+
+
 def edited(edit):
-    return lambda traits: Edited(traits, edit=edit)
+    return changed(edit=edit)
+
+
+def stateless(make):
+    """Methods without state and history; `make` makes their image of that of the samples."""
+
+    class Made(Stateless):
+        def denoise(self, gbuffer, samples, state):
+            return make(super().denoise(gbuffer, samples, state)[0]), None
+
+    return Made
+
+
+def read_frame():
+    """Finds the frame, and so the reference and the pool, in its callers' variables."""
+    caller = sys._getframe()
+    while not {"frame", "clip"} <= set(caller.f_locals):
+        caller = caller.f_back
+    return caller.f_locals["frame"]
+
+
+def subtract_blocks(image):
+    """Without padding, which odd sizes need."""
+    return image - F.interpolate(F.avg_pool2d(image, 2), scale_factor=2)
 
 
 def mix_precisions(image, samples):
@@ -93,57 +129,16 @@ def divide_by_zero(image, samples):
     return image / (0.0 if samples.counts.shape[-1] == SIZE.w else 1.0)
 
 
-class WithoutPadding(Correct):
-    def denoise(self, gbuffer, samples, state):
-        coarse = F.avg_pool2d(samples.mean, 2)
-        return samples.mean - F.interpolate(coarse, scale_factor=2), None
-
-
-class Crops(WithoutPadding):
-    """Returns a cropped image instead of raising an error."""
-
-    def denoise(self, gbuffer, samples, state):
-        return samples.mean[..., :-1, :-1], None
-
-
 class LargePadding(Correct):
     def denoise(self, gbuffer, samples, state):
         padded = F.pad(samples.mean, (16, 16, 16, 16), mode="reflect")
         image = padded[..., 16:-16, 16:-16]
-        return super().denoise(gbuffer, replace_mean(samples, image), state)
+        return super().denoise(gbuffer, SimpleNamespace(mean=image), state)
 
 
 class ImageAlone(Correct):
     def denoise(self, gbuffer, samples, state):
         return super().denoise(gbuffer, samples, state)[0]
-
-
-class NegativeDensity(Correct):
-    def plan(self, gbuffer, samples, state):
-        return super().plan(gbuffer, samples, state) - 0.3
-
-
-class NoDensity(Correct):
-    def plan(self, gbuffer, samples, state):
-        super().plan(gbuffer, samples, state)
-
-
-class ReadsUndeclaredInput(Correct):
-    def denoise(self, gbuffer, samples, state):
-        gbuffer.depth  # noqa: B018
-        return super().denoise(gbuffer, samples, state)
-
-
-class WritesSamples(Correct):
-    def denoise(self, gbuffer, samples, state):
-        samples.radiance.clamp_(max=10)
-        return super().denoise(gbuffer, samples, state)
-
-
-class WritesGBuffer(Correct):
-    def denoise(self, gbuffer, samples, state):
-        gbuffer.albedo.clamp_(0.1, 0.9)
-        return super().denoise(gbuffer, samples, state)
 
 
 class WritesState(Correct):
@@ -163,12 +158,6 @@ class StateWithGraph(Correct):
         return image.detach(), {"image": [image * torch.ones(1, requires_grad=True)]}
 
 
-class NeedsEightSamples(Correct):
-    def denoise(self, gbuffer, samples, state):
-        samples.radiance[:, 7]
-        return super().denoise(gbuffer, samples, state)
-
-
 class CountsCalls(Correct):
     """Memory in the method itself that nothing resets."""
 
@@ -176,33 +165,6 @@ class CountsCalls(Correct):
         self.hidden["calls"] = self.hidden.get("calls", 0) + 1
         image, state = super().denoise(gbuffer, samples, state)
         return image + 1e-3 * self.hidden["calls"], state
-
-
-class ReadsReference(Correct):
-    """Finds the frame, and so the reference, in its callers' variables."""
-
-    def denoise(self, gbuffer, samples, state):
-        image, state = super().denoise(gbuffer, samples, state)
-        return image + self.read_frame(sys._getframe()), state
-
-    def read_frame(self, caller):
-        while not {"frame", "clip"} <= set(caller.f_locals):
-            caller = caller.f_back
-        return self.secret(caller.f_locals["frame"])
-
-    def secret(self, frame):
-        return frame.reference.mean
-
-
-class ReadsPool(ReadsReference):
-    def secret(self, frame):
-        return frame.pool.radiance.mean(1)
-
-
-class NormalisesDensityByBatch(Correct):
-    def plan(self, gbuffer, samples, state):
-        density = super().plan(gbuffer, samples, state)
-        return density / density.amax()
 
 
 class SharedMemory(Correct):
@@ -218,12 +180,6 @@ class SharedMemory(Correct):
     def denoise(self, gbuffer, samples, state):
         image, self.hidden["image"] = super().denoise(gbuffer, samples, self.hidden["history"])
         return image, None
-
-
-class NeedsMotion(Correct):
-    def denoise(self, gbuffer, samples, state):
-        gbuffer.motion.abs()
-        return super().denoise(gbuffer, samples, state)
 
 
 class IgnoresMotion(Correct):
@@ -262,27 +218,6 @@ class UncopyableState(Correct):
         return super().plan(gbuffer, samples, None if state is None else next(state))
 
 
-def replace_mean(samples, image):
-    """Samples with another mean."""
-    return SimpleNamespace(mean=image)
-
-
-class DividesByTheBrightest(Stateless):
-    """Declares that a pixel depends on itself alone, and divides by the image's brightest one."""
-
-    def denoise(self, gbuffer, samples, state):
-        image, _ = super().denoise(gbuffer, samples, state)
-        return image / image.amax((1, 2, 3), keepdim=True).clamp_min(0.1), None
-
-
-class LooksFarther(Stateless):
-    """Declares a smaller radius than that of its filter."""
-
-    def denoise(self, gbuffer, samples, state):
-        image, _ = super().denoise(gbuffer, samples, state)
-        return F.avg_pool2d(image, 5, 1, 2), None
-
-
 class Fault(NamedTuple):
     """The check that must fail, a function that builds the method, and its declared traits."""
 
@@ -291,19 +226,13 @@ class Fault(NamedTuple):
     traits: Traits = CORRECT
 
 
-def ask(image, samples):
-    return image if samples.counts.max() > 0 else 0 * image
-
-
-def copy_number(image, samples):
-    return image * torch.tensor(1.0)
-
-
 FAULTS = {
     "other traits": Fault("built", lambda traits: Correct(replace(traits, min_samples=1))),
     "not a method": Fault("built", lambda traits: SimpleNamespace(traits=traits)),
-    "asks for a value": Fault("recordable", edited(ask)),
-    "copies a number": Fault("recordable", edited(copy_number)),
+    "asks for a value": Fault(
+        "recordable", edited(lambda image, samples: image if samples.counts.any() else 0 * image)
+    ),
+    "copies a number": Fault("recordable", edited(lambda image, samples: image * torch.tensor(1))),
     "not frozen": Fault(
         "frozen",
         lambda traits: SimpleNamespace(
@@ -311,21 +240,23 @@ FAULTS = {
         ),
     ),
     "returns an image alone": Fault("returns", ImageAlone),
-    "fails at odd sizes": Fault("odd_size", WithoutPadding),
-    "crops odd sizes": Fault("odd_size", Crops),
+    "fails at odd sizes": Fault("odd_size", stateless(subtract_blocks), LOCAL),
+    "crops odd sizes": Fault("odd_size", stateless(lambda image: image[..., :-1, :-1]), LOCAL),
     "pads by more than the frame": Fault("tiny_size", LargePadding),
     "double precision": Fault("image", edited(lambda image, samples: image.double())),
     "NaN or infinite image": Fault("image", edited(divide_by_zero)),
     "mixes precisions": Fault("half_precision", edited(mix_precisions)),
-    "a negative density": Fault("density", NegativeDensity),
-    "no density": Fault("density", NoDensity),
+    "a negative density": Fault("density", changed(redirect=lambda density: density - 0.3)),
+    "no density": Fault("density", changed(redirect=lambda density: None)),
     "adapts without declaring it": Fault("uniform", Correct, replace(CORRECT, adaptive=False)),
-    "reads an undeclared input": Fault("inputs", ReadsUndeclaredInput),
+    "reads an undeclared input": Fault("inputs", changed(touch=lambda g, s: g.depth)),
     "declares an unread input": Fault(
         "inputs", Correct, replace(CORRECT, inputs=CORRECT.inputs | {"normal"})
     ),
-    "writes to samples": Fault("in_place", WritesSamples),
-    "writes to the G-buffer": Fault("in_place", WritesGBuffer),
+    "writes to samples": Fault("in_place", changed(touch=lambda g, s: s.radiance.clamp_(max=10))),
+    "writes to the G-buffer": Fault(
+        "in_place", changed(touch=lambda g, s: g.albedo.clamp_(0.1, 1))
+    ),
     "writes to its state": Fault("in_place", WritesState),
     "an image with a graph": Fault(
         "autograd", edited(lambda image, samples: image * torch.ones(1, requires_grad=True))
@@ -342,25 +273,39 @@ FAULTS = {
         "zero_samples",
         edited(lambda image, samples: image + 0 * samples.counts / samples.counts.sum()),
     ),
-    "needs eight samples in the pool": Fault("small_pool", NeedsEightSamples),
+    "needs eight samples in the pool": Fault(
+        "small_pool", changed(touch=lambda g, s: s.radiance[:, 7])
+    ),
     "random numbers without a seed": Fault(
         "determinism", edited(lambda image, samples: image + 1e-3 * torch.rand_like(image))
     ),
     "counts its calls": Fault("determinism", CountsCalls),
-    "reads the reference": Fault("leak", ReadsReference),
-    "reads undrawn samples": Fault("leak", ReadsPool),
+    "reads the reference": Fault(
+        "leak", edited(lambda image, samples: image + read_frame().reference.mean)
+    ),
+    "reads undrawn samples": Fault(
+        "leak", edited(lambda image, samples: image + read_frame().pool.radiance.mean(1))
+    ),
     "normalises images over a batch": Fault(
         "batch", edited(lambda image, samples: image / image.amax().clamp_min(0.1))
     ),
-    "normalises densities over a batch": Fault("batch", NormalisesDensityByBatch),
+    "normalises densities over a batch": Fault(
+        "batch", changed(redirect=lambda density: density / density.amax())
+    ),
     "shares memory between clips": Fault("interleaved", SharedMemory),
-    "needs motion": Fault("static", NeedsMotion),
+    "needs motion": Fault("static", changed(touch=lambda g, s: g.motion.abs())),
     "ignores motion at cuts": Fault("cut", IgnoresMotion),
     "temporal without declaring it": Fault("temporal", Correct, replace(CORRECT, temporal=False)),
     "a state that is a handle": Fault("state_copy", StateIsHandle),
-    "an average over the image": Fault("receptive_field", DividesByTheBrightest, LOCAL),
+    "an average over the image": Fault(
+        "receptive_field",
+        stateless(lambda image: image / image.amax((1, 2, 3), keepdim=True).clamp_min(0.1)),
+        LOCAL,
+    ),
     "a receptive field that is too small": Fault(
-        "receptive_field", LooksFarther, replace(LOCAL, receptive_field=1)
+        "receptive_field",
+        stateless(lambda image: F.avg_pool2d(image, 5, 1, 2)),
+        replace(LOCAL, receptive_field=1),
     ),
     "a state that cannot be copied": Fault("state_copy", UncopyableState),
 }

@@ -36,19 +36,17 @@ def test_a_failed_check_is_printed_with_what_was_found_and_how_to_fix_it(tmp_pat
     )
 
 
-def test_an_exception_of_a_method_is_printed_with_its_line(tmp_path):
+def test_an_exception_of_a_method_is_printed_with_its_line_and_its_traceback_for_debugging(
+    tmp_path,
+):
     plugin = write_plugin(tmp_path / "mine.py", "mine", body="return 1 / 0, None")
-    lines = rlbench("check", "mine", "--plugin", plugin, code=1)
+    words = ("check", "mine", "--plugin", plugin)
+    lines = rlbench(*words, code=1)
     (line,) = [line for line in lines if "✗" in line]
     number = plugin.read_text().splitlines().index("        return 1 / 0, None") + 1
     assert f"ZeroDivisionError: division by zero (mine.py:{number})" in line
     assert sum("requires a passed check: run on frames of 77 x 123" in line for line in lines) == 22
-
-
-def test_debug_prints_the_traceback_of_an_exception(tmp_path):
-    plugin = write_plugin(tmp_path / "mine.py", "mine", body="return 1 / 0, None")
-    words = ("check", "mine", "--plugin", plugin)
-    assert not any("Traceback" in line for line in rlbench(*words, code=1))
+    assert not any("Traceback" in line for line in lines)
     registry.clear_plugins()
     text = "\n".join(rlbench(*words, "--debug", code=1))
     assert "Traceback (most recent call last)" in text

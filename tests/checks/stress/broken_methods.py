@@ -63,13 +63,54 @@ class NeverConverges(Accumulate):
         super().__init__(max_frames=8.0)
 
 
-class Drifts(Accumulate):
-    """Gets darker by 1 % with every frame."""
+class Remembers(Accumulate):
+    """Keeps one thing more than its image, and changes the image by it; by default its age."""
 
     def denoise(self, gbuffer, samples, state):
-        age = 0 if state is None else state[2]
         image, after = super().denoise(gbuffer, samples, state and state[:2])
-        return image * 0.99**age, (*after, age + 1)
+        image, kept = self.remember(image, samples, state[2] if state else 0)
+        return image, (*after, kept)
+
+
+class Drifts(Remembers):
+    """Gets darker by 1 % with every frame."""
+
+    def remember(self, image, samples, age):
+        return image * 0.99**age, age + 1
+
+
+class LosesFrames(Remembers):
+    """Twelve frames of the moving clip in the middle of a run are `lost`."""
+
+    def __init__(self, lost):
+        super().__init__(hidden={"lost": lost})
+
+    def remember(self, image, samples, age):
+        if 125 <= age < 137 and len(image) > 1:
+            image = torch.cat((image[:1], torch.full_like(image[1:], self.hidden["lost"])))
+        return image, age + 1
+
+
+class GrowsState(Remembers):
+    """Keeps one number per frame in its state."""
+
+    def remember(self, image, samples, brightness):
+        return image, (*(brightness or ()), float(image.mean()))
+
+
+class Overflows(Remembers):
+    """Sums squared radiance without an end, scaled as no half float can hold it."""
+
+    def remember(self, image, samples, energy):
+        return image, 1e4 * samples.mean.square() + energy
+
+
+class GrowsMemory(Remembers):
+    """Keeps every image outside its state."""
+
+    def remember(self, image, samples, age):
+        self.hidden[len(self.hidden)] = image
+        return image, age
 
 
 class ForgetsToDeclare(Mean):
@@ -88,47 +129,6 @@ class RemembersOutside(Mean):
         return samples.mean * 0.99 ** self.hidden["age"], None
 
 
-class LosesFrames(Accumulate):
-    """Twelve frames of the moving clip in the middle of a run are `lost`."""
-
-    def __init__(self, lost):
-        super().__init__(hidden={"lost": lost})
-
-    def denoise(self, gbuffer, samples, state):
-        age = 0 if state is None else state[2]
-        image, after = super().denoise(gbuffer, samples, state and state[:2])
-        if 125 <= age < 137 and len(image) > 1:
-            image = torch.cat((image[:1], torch.full_like(image[1:], self.hidden["lost"])))
-        return image, (*after, age + 1)
-
-
-class GrowsState(Accumulate):
-    """Keeps one number per frame in its state."""
-
-    def denoise(self, gbuffer, samples, state):
-        image, after = super().denoise(gbuffer, samples, state and state[:2])
-        brightness = (*(state[2] if state else ()), float(image.mean()))
-        return image, (*after, brightness)
-
-
-class GrowsMemory(Accumulate):
-    """Keeps every image outside its state."""
-
-    def denoise(self, gbuffer, samples, state):
-        image, after = super().denoise(gbuffer, samples, state)
-        self.hidden.setdefault("images", []).append(image)
-        return image, after
-
-
-class Overflows(Accumulate):
-    """Sums squared radiance without an end, scaled as no half float can hold it."""
-
-    def denoise(self, gbuffer, samples, state):
-        image, after = super().denoise(gbuffer, samples, state and state[:2])
-        energy = 1e4 * samples.mean.square() + (state[2] if state else 0.0)
-        return image, (*after, energy)
-
-
 class TrustsMotion(Accumulate):
     """Reads history from wherever motion points, also from outside the image, and by any surface.
 
@@ -139,12 +139,6 @@ class TrustsMotion(Accumulate):
         image, frames = state
         warped, _ = reproject(torch.cat((image, frames), 1), gbuffer.motion)
         return warped[:, :3], warped[:, 3:]
-
-
-def stateless(name: str, image, **traits) -> Mean:
-    """A method without state; `image` makes its image of the G-buffer and the samples."""
-    denoise = {"denoise": lambda self, gbuffer, samples, state: (image(gbuffer, samples), None)}
-    return type(name, (Mean,), denoise)(Traits(**traits))
 
 
 def columns(samples):
@@ -160,6 +154,25 @@ def reject_blue(gbuffer, samples):
     return samples.mean.where(blue <= red, 0.0)
 
 
+def reject_bright(gbuffer, samples):
+    if samples.radiance.amax() > 6e4:
+        raise ArithmeticError("too bright")
+    return samples.mean
+
+
+def filter_irradiance(gbuffer, samples):
+    """Divides by albedo and multiplies by it: every lie about albedo is in the image."""
+    irradiance = samples.mean / gbuffer.albedo.clamp_min(0.01)
+    image = F.avg_pool2d(irradiance, 5, 1, 2) * gbuffer.albedo
+    return torch.where(gbuffer.albedo.sum(1, True) > 0, image, samples.mean)
+
+
+def reject_black_albedo(gbuffer, samples):
+    if not gbuffer.albedo.flatten(1).any(1).all():  # negative values are repaired to zero
+        raise ValueError("black albedo")
+    return filter_irradiance(gbuffer, samples)
+
+
 def amplify_rounding(gbuffer, samples):
     """A matrix product, which autocast rounds, amplifies its rounding."""
     image = samples.mean
@@ -167,65 +180,40 @@ def amplify_rounding(gbuffer, samples):
     return image + 200 * (rounded.to(image) - image)
 
 
-STATELESS = {
-    method.__class__.__name__: method
-    for method in (
-        stateless(
-            "DependsOnExposure",
-            lambda g, s: replace(s, radiance=s.radiance.clamp_max(10.0)).mean,
-        ),
-        stateless("AddsLight", lambda g, s: s.mean + 0.01),  # visible in black
-        stateless("RejectsBlue", reject_blue),  # black where blue is above red, as in the sky
-        stateless("PrefersRight", lambda g, s: s.mean * (columns(s) >= len(columns(s)) // 2)),
-        stateless("PrefersTop", lambda g, s: s.mean * (rows(s) < len(rows(s)) // 2)),
-        stateless("Tiles", lambda g, s: s.mean * (columns(s) // 16 % 2)),  # every second is black
-        stateless("FirstSample", lambda g, s: s.radiance[:, 0]),
-        stateless("DividesByBatch", lambda g, s: s.mean / s.mean.amax()),
-        stateless("Unseeded", lambda g, s: s.mean + 0.01 * torch.rand_like(s.mean)),
-        stateless("DependsOnThreads", lambda g, s: s.mean / torch.get_num_threads()),
-        stateless("Cancels", lambda g, s: (s.mean + 3e7) - 3e7),  # all digits of float32
-        stateless("CancelsInHalf", amplify_rounding),
-        stateless(  # fails in float64
-            "NeedsFloat32", lambda g, s: s.mean @ torch.eye(s.mean.shape[-1], dtype=torch.float32)
-        ),
-        stateless(  # the brightest sample sets the exposure of the whole image
-            "ExposedByMaximum", lambda g, s: s.mean / s.mean.amax((1, 2, 3), keepdim=True)
-        ),
-        stateless("WideBlur", lambda g, s: F.avg_pool2d(s.mean, 25, 1, 12)),
-        stateless(
-            "DividingByDepth",
-            lambda g, s: s.mean * g.depth.nan_to_num(posinf=0).mean(),
-            inputs=frozenset({"depth"}),
-        ),
-        stateless(  # albedo is in the samples already
-            "MisusesAlbedo", lambda g, s: 2 * s.mean * g.albedo, inputs=frozenset({"albedo"})
-        ),
-        stateless(
-            "IgnoresAlbedo", lambda g, s: s.mean + 0 * g.albedo, inputs=frozenset({"albedo"})
-        ),
-    )
+IMAGES = {  # of the G-buffer and the samples
+    "DependsOnExposure": lambda g, s: replace(s, radiance=s.radiance.clamp_max(10.0)).mean,
+    "AddsLight": lambda g, s: s.mean + 0.01,  # visible in black
+    "RejectsBlue": reject_blue,  # black where blue is above red, as in the sky
+    "RejectsBright": reject_bright,
+    "PrefersRight": lambda g, s: s.mean * (columns(s) >= len(columns(s)) // 2),
+    "PrefersTop": lambda g, s: s.mean * (rows(s) < len(rows(s)) // 2),
+    "Tiles": lambda g, s: s.mean * (columns(s) // 16 % 2),  # every second is black
+    "FirstSample": lambda g, s: s.radiance[:, 0],
+    "DividesByBatch": lambda g, s: s.mean / s.mean.amax(),
+    "Unseeded": lambda g, s: s.mean + 0.01 * torch.rand_like(s.mean),
+    "DependsOnThreads": lambda g, s: s.mean / torch.get_num_threads(),
+    "Cancels": lambda g, s: (s.mean + 3e7) - 3e7,  # all digits of float32
+    "CancelsInHalf": amplify_rounding,
+    "NeedsFloat32": lambda g, s: s.mean @ torch.eye(s.mean.shape[-1], dtype=torch.float32),
+    # the brightest sample sets the exposure of the whole image
+    "ExposedByMaximum": lambda g, s: s.mean / s.mean.amax((1, 2, 3), keepdim=True),
+    "WideBlur": lambda g, s: F.avg_pool2d(s.mean, 25, 1, 12),
+    "DividingByDepth": lambda g, s: s.mean * g.depth.nan_to_num(posinf=0).mean(),
+    "MisusesAlbedo": lambda g, s: 2 * s.mean * g.albedo,  # which is in the samples already
+    "IgnoresAlbedo": lambda g, s: s.mean + 0 * g.albedo,
+    "CopiesAlbedo": filter_irradiance,
+    "RejectsBlackAlbedo": reject_black_albedo,
 }
 
 
-@dataclass(frozen=True)
-class CopiesAlbedo(Mean):
-    """Filters irradiance and multiplies by albedo: every lie about albedo is in the image."""
-
-    traits: Traits = Traits(inputs=frozenset({"albedo"}))
-
-    def denoise(self, gbuffer, samples, state):
-        irradiance = samples.mean / gbuffer.albedo.clamp_min(0.01)
-        image = F.avg_pool2d(irradiance, 5, 1, 2) * gbuffer.albedo
-        return torch.where(gbuffer.albedo.sum(1, True) > 0, image, samples.mean), None
+def stateless(name: str) -> Mean:
+    """A method without state of this image, which declares the input in its name."""
+    inputs = frozenset(each for each in ("albedo", "depth") if each.title() in name)
+    denoise = {"denoise": lambda self, g, s, state: (IMAGES[name](g, s), None)}
+    return type(name, (Mean,), denoise)(Traits(inputs=inputs))
 
 
-class RejectsBlackAlbedo(CopiesAlbedo):
-    """Raises an exception for one lie."""
-
-    def denoise(self, gbuffer, samples, state):
-        if not gbuffer.albedo.flatten(1).any(1).all():  # negative values are repaired to zero
-            raise ValueError("black albedo")
-        return super().denoise(gbuffer, samples, state)
+STATELESS = {name: stateless(name) for name in IMAGES}
 
 
 @dataclass(frozen=True)
@@ -259,15 +247,6 @@ class AvoidsTheBrightest(Mean):
         if samples.mean.amax() > 2e4:
             density[..., : density.shape[-1] // 2] = 0
         return samples.mean, density
-
-
-class RejectsBright(Mean):
-    """Raises an exception for a bright sample."""
-
-    def denoise(self, gbuffer, samples, state):
-        if samples.radiance.amax() > 6e4:
-            raise ArithmeticError("too bright")
-        return samples.mean, None
 
 
 def run_section(section, method, is_quick=True) -> dict[str, CheckResult]:

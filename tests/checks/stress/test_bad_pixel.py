@@ -15,56 +15,45 @@ from tests.checks.stress import broken_methods as broken
 from tests.checks.stress.broken_methods import STATELESS
 
 PASSED, WARNING, FAILED = Verdict.PASSED, Verdict.WARNING, Verdict.FAILED
+FAULTS = [  # a method, and verdicts that it gets
+    (
+        STATELESS["ExposedByMaximum"],
+        {"sample-1e30": WARNING, "sample-65504": WARNING, "sample-nan": PASSED},  # NaN is black
+    ),
+    (STATELESS["WideBlur"], {"sample-1e5": WARNING}),  # for one frame
+    (
+        STATELESS["DividingByDepth"],
+        {"depth-1e30": WARNING, "depth-minus-one": PASSED},  # which the core repairs
+    ),
+    (
+        broken.AveragesBlindly(),
+        dict.fromkeys(("state-nan", "state-inf", "state-1e30", "sample-65504"), FAILED),
+    ),
+    (broken.AvoidsTheBrightest(), {"sample-65504": PASSED, "sample-65504-free": FAILED}),
+]
 
 
-def verdicts(method):
-    return broken.verdicts(bad_pixel, method, is_quick=False)
+def stress(method):
+    return broken.run_section(bad_pixel, method, is_quick=False)
 
 
 def test_a_mean_contains_every_fault_and_needs_the_suite_for_two_of_three():
-    found = verdicts(broken.Mean())
-    assert found.pop("unsanitized") is WARNING
-    assert found == {f"sample-{value}": PASSED for value in VALUES}
+    found = {test: result.verdict for test, result in stress(broken.Mean()).items()}
+    assert found == {f"sample-{value}": PASSED for value in VALUES} | {"unsanitized": WARNING}
 
 
-def test_an_exposure_that_one_pixel_moves_is_caught():
-    found = verdicts(STATELESS["ExposedByMaximum"])
-    assert found["sample-1e30"] is found["sample-65504"] is WARNING
-    assert found["sample-nan"] is PASSED  # black
-
-
-def test_a_fault_that_spreads_for_one_frame_is_degraded_and_not_failed():
-    assert verdicts(STATELESS["WideBlur"])["sample-1e5"] is WARNING
-
-
-def test_a_state_that_keeps_bad_values_fails():
-    found = verdicts(broken.AveragesBlindly())
-    assert found["state-nan"] is found["state-inf"] is FAILED
-    assert PASSED not in (found["state-1e30"], found["sample-65504"])  # visible
-
-
-def test_a_buffer_that_moves_the_whole_image_is_caught():
-    found = verdicts(STATELESS["DividingByDepth"])
-    assert found["depth-1e30"] is WARNING
-    assert found["depth-minus-one"] is PASSED  # repaired by the core
-
-
-def test_a_fault_that_moves_samples_is_seen_with_free_counts_alone():
-    found = verdicts(broken.AvoidsTheBrightest())
-    assert found["sample-65504"] is PASSED
-    assert found["sample-65504-free"] is FAILED
+@pytest.mark.parametrize(("method", "verdicts"), FAULTS)
+def test_a_fault_is_caught(method, verdicts):
+    results = stress(method)
+    assert {test: results[test].verdict for test in verdicts} == verdicts
+    assert all(bool(result.remedy) != (result.verdict is PASSED) for result in results.values())
 
 
 def test_an_exception_is_a_failure_that_names_it():
-    results = broken.run_section(bad_pixel, broken.RejectsBright()).values()
+    results = broken.run_section(bad_pixel, STATELESS["RejectsBright"]).values()
     (failed,) = (result for result in results if result.verdict is FAILED)
     assert failed.check == "sample-65504"
     assert "ArithmeticError: too bright" in failed.found
-
-
-def test_every_test_that_did_not_pass_says_what_to_do():
-    results = broken.run_section(bad_pixel, broken.AveragesBlindly()).values()
-    assert all(bool(result.remedy) != (result.verdict is PASSED) for result in results)
 
 
 # Blast radius

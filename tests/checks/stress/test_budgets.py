@@ -13,37 +13,31 @@ from tests.checks.stress.broken_methods import stressed_toy
 
 CPU = torch.device("cpu")
 
-TOYS = {  # the fault: body of the denoiser, traits, the tests that find it
+SIZES = {"size-1x1", "size-17x1", "size-9x7", "size-123x77"}
+TOYS = {  # the fault: body of the denoiser, the tests that find it
     "a division by the number of samples": (
         "return samples.radiance.sum(1) / samples.counts, None",
-        "adaptive=True",
         {"spp-0", "density-half", "density-1e38"},
     ),
     "an exception without samples": (
         "assert samples.counts.any(); return samples.mean, None",
-        "",
         {"spp-0"},
     ),
     "a stencil that needs three rows": (
         "return torch.nn.functional.pad(samples.mean, (1, 1, 1, 1), 'reflect')[..., 1:-1, 1:-1], 0",
-        "",
         {"size-1x1", "size-17x1"},
     ),
     "sizes rounded down to even numbers": (
         "h, w = (side // 2 * 2 for side in samples.mean.shape[2:]); "
         "return samples.mean[..., :h, :w], None",
-        "",
-        {"size-1x1", "size-17x1", "size-9x7", "size-123x77"},
+        SIZES,
     ),
     "an image in double precision": (
         "return samples.mean.double(), None",
-        "",
-        {f"spp-{spp:g}" for spp in budgets.QUICK_BUDGETS}
-        | {"size-1x1", "size-17x1", "size-9x7", "size-123x77"},
+        {"spp-0", "spp-2", "spp-8", "density-half", "density-1e38"} | SIZES,
     ),
     "an image that brightens with the budget": (
         "return samples.mean + 0.1 * samples.counts.float().mean(), None",
-        "",
         {"more-samples"},
     ),
 }
@@ -57,8 +51,8 @@ def failed_tests(stressed) -> set[str]:
 
 @pytest.mark.parametrize("fault", TOYS)
 def test_a_broken_method_fails_the_tests_of_its_fault_alone(tmp_path, fault):
-    body, traits, expected = TOYS[fault]
-    assert failed_tests(stressed_toy(tmp_path, body, traits)) == expected
+    body, expected = TOYS[fault]
+    assert failed_tests(stressed_toy(tmp_path, body, "adaptive=True")) == expected
 
 
 @pytest.mark.parametrize("name", ["mean", "svgf"])
@@ -66,19 +60,24 @@ def test_a_sound_method_passes(name):
     assert not failed_tests(load_stressed_method(name, CPU))
 
 
-def test_a_budget_that_a_method_does_not_support_is_skipped_with_the_reason(tmp_path):
-    stressed = stressed_toy(tmp_path, traits="spp_range=(1.0, 8.0)")
-    (result,) = (r for r in budgets.SECTION.run(stressed, True) if r.check == "spp-0")
-    assert result.verdict is Verdict.SKIPPED
-    assert result.found == "supports 1 to 8 spp, requested 0"
-
-
-def test_a_small_loss_from_more_samples_degrades(tmp_path):
-    body = "return samples.mean + 0.028 * samples.counts.float().mean(), None"
-    results = budgets.SECTION.run(stressed_toy(tmp_path, body), True)
-    (result,) = (result for result in results if result.check == "more-samples")
-    assert result.verdict is Verdict.WARNING
-    assert result.found.startswith("largest loss from 2 to 8 spp; 2 spp: ")
+@pytest.mark.parametrize(
+    ("toy", "test", "verdict", "found"),
+    [
+        (
+            {"traits": "spp_range=(1.0, 8.0)"},
+            *("spp-0", Verdict.SKIPPED, "supports 1 to 8 spp, requested 0"),
+        ),
+        (
+            {"body": "return samples.mean + 0.028 * samples.counts.float().mean(), None"},
+            *("more-samples", Verdict.WARNING, "largest loss from 2 to 8 spp; 2 spp: "),
+        ),
+    ],
+)
+def test_a_toy_gets_a_verdict_with_its_reason(tmp_path, toy, test, verdict, found):
+    results = budgets.SECTION.run(stressed_toy(tmp_path, **toy), True)
+    (result,) = (result for result in results if result.check == test)
+    assert result.verdict is verdict
+    assert result.found.startswith(found)
 
 
 @pytest.mark.slow

@@ -1,15 +1,15 @@
-"""A stress run: every job has results, whatever a method does, and finished jobs are reused."""
+"""Sections are found by name; every job has results, and finished jobs are reused."""
 
 from __future__ import annotations
 
 import json
+import sys
 
 import pytest
 import torch
 
 from rlbench import registry
 from rlbench.checks.result import Verdict
-from rlbench.checks.stress import section
 from rlbench.checks.stress.jobs import (
     StressJob,
     content_hash,
@@ -18,11 +18,17 @@ from rlbench.checks.stress.jobs import (
     run_jobs,
     write_results,
 )
+from rlbench.checks.stress.section import list_sections, load_section, select_sections
+from rlbench.errors import PluginError
 from rlbench.parallel.executor import LOCAL
 from rlbench.parallel.process_executor import ProcessExecutor
-from tests.conftest import write_plugin
+from tests.conftest import install_plugin, write_plugin
 
 CPU = torch.device("cpu")
+EMPTY_SECTION = """
+from rlbench.checks.stress.section import SuiteSection
+SECTION = SuiteSection(lambda is_quick: iter(()))
+"""
 
 
 def jobs_of(*methods, only=("budgets",)):
@@ -42,35 +48,18 @@ def test_jobs_of_the_suite_come_once_and_first():
     assert [job.title for job in jobs] == ["metrics", "mean: budgets", "svgf: budgets"]
 
 
-def test_a_finished_job_is_not_run_again(tmp_path):
-    jobs = jobs_of("mean")
-    first, second = run(jobs, tmp_path), run(jobs, tmp_path)
-    assert not first["mean: budgets"].is_stored
-    assert second["mean: budgets"].is_stored
-    assert repr(second["mean: budgets"].results) == repr(first["mean: budgets"].results)  # with nan
-
-
-def test_a_restart_runs_all_jobs_again(tmp_path):
-    jobs = jobs_of("mean")
-    run(jobs, tmp_path)
-    assert not run(jobs, tmp_path, is_restart=True)["mean: budgets"].is_stored
-
-
-def test_the_quick_and_the_full_form_are_stored_apart(tmp_path):
-    run(jobs_of("mean"), tmp_path)
-    (full,) = plan_jobs(["mean"], ["budgets"], False, CPU)
-    (quick,) = jobs_of("mean")
-    assert content_hash(full) != content_hash(quick)
-    assert len(list((tmp_path / "jobs").iterdir())) == 1
-
-
-def test_a_changed_method_is_run_again(tmp_path):
+def test_a_finished_job_is_not_run_again_before_a_restart_or_a_change(tmp_path):
     use_toy(tmp_path)
-    jobs = jobs_of("toy")
-    run(jobs, tmp_path)
+    (job,), title = jobs_of("toy"), "toy: budgets"
+    first, second = run([job], tmp_path)[title], run([job], tmp_path)[title]
+    assert (first.is_stored, second.is_stored) == (False, True)
+    assert repr(second.results) == repr(first.results)  # with nan
+    assert not run([job], tmp_path, is_restart=True)[title].is_stored
+    (full,) = plan_jobs(["toy"], ["budgets"], False, CPU)
+    assert content_hash(full) != content_hash(job)
     file = tmp_path / "toy.py"
     file.write_text(f"{file.read_text()}\n# changed\n")
-    assert not run(jobs, tmp_path)["toy: budgets"].is_stored
+    assert not run([job], tmp_path)[title].is_stored
 
 
 @pytest.mark.parametrize("damage", [b"", b"{", b"\xff\xfe", b'{"schema": 2}'])
@@ -91,72 +80,64 @@ def test_jobs_with_similar_names_have_their_own_files(tmp_path):
     assert results == {"a/b": 1, "a-b": 2}
 
 
-FAULTS = {  # body of the build function: what is found
-    "raise OSError('no licence')": "raised OSError: no licence",
-    "raise SystemExit('bye')": "raised PluginExitError: plugin code called sys.exit('bye')",
-}
-
-
-@pytest.mark.parametrize("build", FAULTS)
-def test_a_method_that_cannot_be_built_fails_and_the_others_run(tmp_path, build):
+@pytest.mark.parametrize(
+    ("build", "found"),
+    [
+        ("raise OSError('no licence')", "raised OSError: no licence"),
+        ("raise SystemExit('bye')", "raised PluginExitError: plugin code called sys.exit('bye')"),
+    ],
+)
+def test_a_method_that_cannot_be_built_fails_each_time_and_the_others_run(tmp_path, build, found):
     use_toy(tmp_path, build=build)
     finished = run(jobs_of("toy", "mean"), tmp_path)
     (result,) = finished["toy: budgets"].results
     assert result.verdict is Verdict.FAILED
-    assert FAULTS[build] in result.found
+    assert found in result.found
     assert "(toy.py:" in result.found
     assert len(finished["mean: budgets"].results) > 5
-
-
-def test_a_failed_job_runs_again_next_time(tmp_path):
-    use_toy(tmp_path, build="raise OSError('no licence')")
-    run(jobs_of("toy"), tmp_path)
     assert not run(jobs_of("toy"), tmp_path)["toy: budgets"].is_stored
 
 
-def test_a_row_without_shipped_weights_is_skipped(tmp_path):
-    (result,) = run(jobs_of("nppd/large"), tmp_path)["nppd/large: budgets"].results
+@pytest.mark.parametrize(
+    ("method", "reason"),
+    [("nppd/large", "has no shipped weights"), ("toy", "pip install no-such-package")],
+)
+def test_a_method_that_cannot_run_here_is_skipped(tmp_path, method, reason):
+    use_toy(tmp_path)
+    file = tmp_path / "toy.py"
+    requires = "learned=False, requires=('no-such-package',)"
+    file.write_text(file.read_text().replace("learned=False", requires))
+    (result,) = run(jobs_of(method), tmp_path)[f"{method}: budgets"].results
     assert result.verdict is Verdict.SKIPPED
-    assert result.found.startswith("has no shipped weights")
+    assert reason in result.found
 
 
-def test_a_method_whose_package_is_missing_is_skipped(tmp_path):
-    plugin = write_plugin(tmp_path / "toy.py", "toy")
-    plugin.write_text(
-        plugin.read_text().replace("learned=False", "learned=False, requires=('no-such-package',)")
-    )
-    registry.use_plugin(plugin)
-    (result,) = run(jobs_of("toy"), tmp_path)["toy: budgets"].results
-    assert result.verdict is Verdict.SKIPPED
-    assert "pip install no-such-package" in result.found
+def run_section(folder, monkeypatch, *lines):
+    """The finished jobs of two methods under a section of these lines."""
+    install_section(folder, monkeypatch, "new", "\n".join(lines))
+    return run(jobs_of("mean", "svgf", only=("new",)), folder)
 
 
 def test_a_section_that_cannot_be_imported_fails_once(tmp_path, monkeypatch):
-    (tmp_path / "torn_section.py").write_text("1 / 0")
-    monkeypatch.syspath_prepend(tmp_path)
-    monkeypatch.setitem(section.CORE_SECTIONS, "torn", "torn_section:SECTION")
-    finished = run(jobs_of("mean", "svgf", only=("torn",)), tmp_path)
-    (result,) = finished["torn"].results
+    finished = run_section(tmp_path, monkeypatch, "1 / 0")
+    assert list(finished) == ["new"]
+    (result,) = finished["new"].results
     assert result.verdict is Verdict.FAILED
     assert "ZeroDivisionError" in result.found
 
 
 def test_results_before_an_exception_of_a_section_are_kept(tmp_path, monkeypatch):
-    (tmp_path / "half_section.py").write_text(
-        "from rlbench.checks.result import not_applicable\n"
-        "from rlbench.checks.stress.section import MethodSection\n"
-        "def run(stressed, is_quick):\n"
-        "    yield not_applicable('first', 'no reason')\n"
-        "    raise KeyError('second')\n"
-        "SECTION = MethodSection(run)\n"
+    finished = run_section(
+        *(tmp_path, monkeypatch),
+        "from rlbench.checks.result import not_applicable",
+        "from rlbench.checks.stress.section import MethodSection",
+        "def run(stressed, is_quick):",
+        "    yield not_applicable('first', 'no reason')",
+        "    raise KeyError('second')",
+        "SECTION = MethodSection(run)",
     )
-    monkeypatch.syspath_prepend(tmp_path)
-    monkeypatch.setitem(section.CORE_SECTIONS, "half", "half_section:SECTION")
-    results = run(jobs_of("mean", only=("half",)), tmp_path)["mean: half"].results
-    assert [(r.check, r.verdict) for r in results] == [
-        ("first", Verdict.SKIPPED),
-        ("run", Verdict.FAILED),
-    ]
+    results = [(r.check, r.verdict) for r in finished["mean: new"].results]
+    assert results == [("first", Verdict.SKIPPED), ("run", Verdict.FAILED)]
 
 
 @pytest.mark.slow
@@ -175,3 +156,44 @@ def test_two_processes_give_the_results_of_one_and_survive_a_crash(tmp_path):
 def test_one_job_and_a_gpu_use_this_process():
     assert default_executor(CPU, 1) is LOCAL
     assert default_executor(torch.device("cuda"), 100) is LOCAL
+
+
+# sections
+
+
+@pytest.mark.parametrize("name", list_sections())
+def test_every_section_can_be_loaded(name):
+    assert callable(load_section(name).run)
+
+
+def test_selected_sections_keep_the_order_of_the_suite():
+    assert select_sections(["metrics", "budgets"]) == ["budgets", "metrics"]
+    assert select_sections() == list(list_sections())
+
+
+def install_section(folder, monkeypatch, name, content):
+    """A package that registers the stress section `name`."""
+    (folder / "new_section.py").write_text(content)
+    install_plugin(folder, monkeypatch, "stress", f"{name} = new_section:SECTION")
+    monkeypatch.delitem(sys.modules, "new_section", raising=False)  # that of another test
+
+
+def test_a_section_of_a_plugin_is_listed_last(tmp_path, monkeypatch):
+    install_section(tmp_path, monkeypatch, "zebra", EMPTY_SECTION)
+    assert list(list_sections())[-1] == "zebra"
+    assert list(load_section("zebra").run(True)) == []
+
+
+@pytest.mark.parametrize(
+    ("name", "content", "problem"),
+    [
+        ("budgets", EMPTY_SECTION, "has the name of a section of rlbench"),
+        ("zebra", "SECTION = 'zebra'", "an object of type str"),
+    ],
+)
+def test_a_plugin_that_is_no_section_of_its_own_is_refused(
+    tmp_path, monkeypatch, name, content, problem
+):
+    install_section(tmp_path, monkeypatch, name, content)
+    with pytest.raises(PluginError, match=problem):
+        load_section(name)
