@@ -276,45 +276,44 @@ def test_budgets_are_those_of_the_config_or_the_methods_own_and_are_in_the_card(
 @pytest.mark.parametrize("spp", [0.5, 8.0])
 def test_a_budget_that_the_method_does_not_support_is_refused(tmp_path, spp):
     registry.use_plugin(write_learner(tmp_path))
+    config = TrainingConfig(spp=(2.0, spp))
     message = f"'blur' cannot be trained at {spp:g} spp: supports 1 to 4 spp"
+    for refused in (
+        lambda: train("blur", [], [], tmp_path, config),
+        lambda: TrainingRuns(tmp_path, config).check(["blur"]),
+    ):
+        with pytest.raises(TrainingError, match=message):
+            refused()
+
+
+@pytest.mark.parametrize(
+    ("row", "side", "config", "message"),
+    [
+        (
+            "retrained",
+            32,
+            TrainingConfig(frames=48, crop=16),
+            "changed: batch 2 -> 1; eval_interval 12 -> 1000; frames 24 -> 48; sequence_length 3",
+        ),
+        ("retrained", 40, OIDN, r"changed: data \['clip-32 .* -> \['clip-40"),
+        ("retrained-small", 32, OIDN, "belongs to method 'oidn/retrained', but 'oidn/retrained-s"),
+    ],
+    ids=["config", "clips", "method"],
+)
+def test_a_checkpoint_of_another_training_is_refused(tmp_path, row, side, config, message):
+    clips = {w: write_noise(tmp_path / f"clip-{w}", h=32, w=w) for w in (32, 40)}
+    train_oidn(tmp_path / "run", clips[32])
+    arguments = (f"oidn/{row}", [clips[side]], [clips[side]], tmp_path / "run", config)
     with pytest.raises(TrainingError, match=message):
-        train("blur", [], [], tmp_path, TrainingConfig(spp=(2.0, spp)))
-
-
-def test_a_checkpoint_with_another_config_is_refused(tmp_path):
-    clip = write_noise(tmp_path / "clips" / "noise", h=32, w=32)
-    train_oidn(tmp_path / "run", clip)
-    message = r"changed: batch 2 -> 1; eval_interval 12 -> 1000; frames 24 -> 48; sequence_length 3"
-    with pytest.raises(TrainingError, match=message):
-        train(
-            "oidn/retrained", [clip], [clip], tmp_path / "run", TrainingConfig(frames=48, crop=16)
-        )
-
-
-def test_a_checkpoint_of_other_clips_is_refused(tmp_path):
-    clip = write_noise(tmp_path / "clips" / "noise", h=32, w=32)
-    other = write_noise(tmp_path / "clips" / "other", h=32, w=40)
-    train_oidn(tmp_path / "run", clip)
-    with pytest.raises(TrainingError, match=r"changed: data \['noise .* -> \['other"):
-        train_oidn(tmp_path / "run", other)
-
-
-def test_a_checkpoint_of_another_method_is_refused(tmp_path):
-    clip = write_noise(tmp_path / "clips" / "noise", h=32, w=32)
-    config = TrainingConfig(frames=12, batch=2, crop=16, sequence_length=3, eval_interval=12)
-    train("oidn/retrained", [clip], [clip], tmp_path, config)
-    message = "belongs to method 'oidn/retrained', but 'oidn/retrained-small' was requested"
-    with pytest.raises(TrainingError, match=message):
-        train("oidn/retrained-small", [clip], [clip], tmp_path, config, allow_config_change=True)
+        train(*arguments, allow_config_change=row != "retrained")
 
 
 def test_a_finished_run_keeps_its_card(tmp_path):
     clip = write_noise(tmp_path / "clips" / "noise", h=32, w=32)
-    first = train("oidn/retrained", [clip], [clip], tmp_path, OIDN, command="first")
-    second = train("oidn/retrained", [clip], [clip], tmp_path, OIDN, command="second")
-    assert first.weights == second.weights == tmp_path / "retrained.safetensors"
-    assert second.progress.frames_seen == 24
-    assert read_card(first.weights).command == "first"
+    for command in ("first", "second"):
+        result = train("oidn/retrained", [clip], [clip], tmp_path, OIDN, command=command)
+    assert result.progress.frames_seen == 24
+    assert read_card(tmp_path / "retrained.safetensors").command == "first"
 
 
 @pytest.mark.parametrize("left", ["no card", "another card", "older weights"])
@@ -360,36 +359,19 @@ def test_an_archived_run_does_not_replace_older_ones(tmp_path):
     assert [(tmp_path / f"ours.old-{n}" / "log").read_text() for n in (1, 2)] == ["1", "2"]
 
 
-def test_a_budget_that_one_of_the_methods_does_not_support_is_refused(tmp_path):
-    runs = TrainingRuns(tmp_path, TrainingConfig(spp=(0.5,)))
-    with pytest.raises(TrainingError, match="'ntas' cannot be trained at 0.5 spp"):
-        runs.check(["ours", "ntas"])
-
-
-class RecordingBar:
-    """A progress bar that records its calls."""
-
-    def __init__(self) -> None:
-        self.opened: list[tuple[str, int]] = []
-        self.frames: list[int] = []
-
-    @contextmanager
-    def __call__(self, title: str, frames: int):
-        self.opened.append((title, frames))
-        yield lambda progress, loss: self.frames.append(progress.frames_seen)
-
-
-@pytest.fixture
-def split(tmp_path: Path) -> TrainingSplit:
+def test_training_shows_its_progress_in_the_given_bar(tmp_path):
     registry.use_plugin(write_learner(tmp_path))
     clip = write_noise(tmp_path / "clips" / "noise", h=24, w=24)
-    return TrainingSplit([clip], {"noise": [clip]})
+    calls: list[tuple[str, int]] = []
 
+    @contextmanager
+    def bar(title: str, frames: int):
+        calls.append((title, frames))
+        yield lambda progress, loss: calls.append(("done", progress.frames_seen))
 
-def test_training_shows_its_progress_in_the_given_bar(tmp_path, split):
-    bar = RecordingBar()
     config = TrainingConfig(frames=6, crop=16, sequence_length=3)
-    weights = TrainingRuns(tmp_path / "runs", config, progress_bar=bar).train("blur", split)
+    runs = TrainingRuns(tmp_path / "runs", config, progress_bar=bar)
+    weights = runs.train("blur", TrainingSplit([clip], {"noise": [clip]}))
     assert weights == tmp_path / "runs" / "blur" / "blur.safetensors"
     assert weights.exists()
-    assert (bar.opened, bar.frames) == ([("blur", 6)], [3, 6])
+    assert calls == [("blur", 6), ("done", 3), ("done", 6)]
