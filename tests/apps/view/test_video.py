@@ -253,9 +253,7 @@ def test_saturated_colours_stay(tmp_path, suffix):
     assert np.abs(decoded - colours).max() <= 3  # 8-bit YUV; the matrix of BT.601 is off by 20
 
 
-def test_a_webp_repeats_for_ever_at_the_rate_of_the_style_and_has_equal_bytes_again(
-    clip, tmp_path
-):
+def test_a_webp_repeats_for_ever_at_the_rate_of_the_style_and_has_equal_bytes_again(clip, tmp_path):
     file, again = (write(clip, tmp_path / name, ["webp"], VideoStyle(fps=5))[0] for name in "ab")
     assert file.read_bytes() == again.read_bytes()
     with Image.open(file) as image:
