@@ -71,8 +71,6 @@ def test_a_scene_file_renders_first_frames_then_the_others(tmp_path):
     part, whole = tmp_path / "part", tmp_path / "whole"
     rlbench(*words, "--limit-frames", 2, "--out", part)
     rlbench(*words, "--out", whole)
-    files = [file.name for file in part.glob("*.exr")]
-    assert all((part / name).read_bytes() == (whole / name).read_bytes() for name in files)
     assert open_clip(part).digest == open_clip(whole, limit_frames=2).digest
     assert read_header(part).exposure == read_header(whole).exposure
     rlbench(*words, "--out", part)

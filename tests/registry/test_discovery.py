@@ -10,8 +10,8 @@ import pytest
 
 from rlbench import registry
 from rlbench.registry import PluginError
+from tests.cli.runner import python
 from tests.conftest import install_plugin, write_plugin
-from tests.registry.subprocesses import run_python
 
 
 @pytest.mark.parametrize("group", registry.GROUPS)
@@ -44,7 +44,7 @@ def test_families_and_metrics_are_read_without_torch():
             registry.load_plugin("metrics", name)
         print("torch" in sys.modules)
     """
-    assert run_python(code) == "False\n"
+    assert python("-c", textwrap.dedent(code)) == "False\n"
 
 
 def test_the_error_for_a_metric_that_cannot_be_imported_names_it(monkeypatch):
@@ -98,7 +98,7 @@ def test_an_installed_package_is_found_by_its_entry_point(tmp_path):
         origin = registry.list_entries("methods")["stranger"].origin
         print(origin, registry.load_method("stranger").traits.pool)
     """
-    assert run_python(code) == "a-strangers-package path\n"
+    assert python("-c", textwrap.dedent(code)) == "a-strangers-package path\n"
 
 
 # Plugin files
