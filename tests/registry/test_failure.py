@@ -81,6 +81,7 @@ def test_a_ctrl_c_of_the_user_interrupts_plugin_code():
         signal.raise_signal(signal.SIGINT)
 
 
+@pytest.mark.usefixtures("interrupts")
 def test_an_exit_is_an_error_and_the_handler_of_interrupts_is_put_back():
     before = signal.getsignal(signal.SIGINT)
     with pytest.raises(PluginExitError), exits_as_errors(), exits_as_errors():

@@ -61,7 +61,9 @@ def test_the_answer_for_this_processor_is_that_of_its_flags():
 def test_a_cuda_device_is_judged_by_its_capability(capability, reason, monkeypatch):
     is_native = capability >= (8, 0)
     monkeypatch.setattr(torch.cuda, "device", lambda device: contextlib.nullcontext())
-    monkeypatch.setattr(torch.cuda, "is_bf16_supported", lambda including_emulation: is_native)
+    monkeypatch.setattr(
+        torch.cuda, "is_bf16_supported", lambda including_emulation: is_native | including_emulation
+    )
     monkeypatch.setattr(torch.cuda, "get_device_capability", lambda device: capability)
     monkeypatch.setattr(torch.cuda, "get_device_name", lambda device: "NVIDIA RTX")
     found = emulation_reason("cuda:0")
