@@ -87,7 +87,7 @@ def test_a_cached_file_does_not_wait_for_the_disk(tmp_path, monkeypatch):
 FULL = OSError(errno.ENOSPC, "No space left on device")
 
 
-def test_a_full_disk_is_one_line_with_folder_free_bytes_and_remedy(tmp_path):
+def test_a_full_disk_is_one_line_with_folder_free_bytes_and_remedy(tmp_path, monkeypatch):
     message = (
         rf"^.*file\.txt cannot be written \(.*No space left.*\); {tmp_path} has \d+ bytes free"
     )
@@ -98,6 +98,9 @@ def test_a_full_disk_is_one_line_with_folder_free_bytes_and_remedy(tmp_path):
         raise FULL
     assert isinstance(caught.value, RlbenchError)
     assert "\n" not in str(caught.value)
+    assert paths.write_remedy(caught.value) == "--out names another folder"
+    monkeypatch.setenv("RLBENCH_CACHE", str(tmp_path))
+    assert paths.write_remedy(caught.value) == "the variable RLBENCH_CACHE names another folder"
     assert list(tmp_path.iterdir()) == []
 
 
