@@ -37,11 +37,6 @@ def nan_method(folder: Path) -> Words:
     return (*own_clip(folder, "--plugin", plugin), "-m", "nan")
 
 
-def cost_file(folder: Path) -> Words:
-    (folder / "mine.toml").write_text('title = "mine"\nsample_ms = 4.2\n')
-    return own_clip(folder, "--cost", folder / "mine.toml")
-
-
 def dump(folder: Path) -> Words:
     write_oidn(folder / "dump", frames=1, seeds=1)
     return ("run", "-m", "mean", "--clips", folder / "dump", "--out", folder / "r")
@@ -73,14 +68,6 @@ TABLE = {
         r"give your renderer's time: --cost mine.toml \(docs/how-to/charge-your-renderer.md\)",
         code=0,
     ),
-    "a cost file that lacks keys": Mistake(
-        cost_file,
-        "missing: default_ms; unknown: sample_ms",
-    ),
-    "a row that has the weights of another to train": Mistake(
-        lambda folder: ("train", "-m", "oidn/filled", "--out", folder / "r"),
-        "oidn/filled has the weights of ",
-    ),
     "a folder as weights": Mistake(
         lambda folder: ("run", "-m", "ours", "--weights", folder, "--out", folder / "r"),
         "is a folder, not a weights file. It holds no weights",
@@ -88,10 +75,6 @@ TABLE = {
     "an import without a layout": Mistake(
         lambda folder: ("import", folder, "--out", folder / "r"),
         "--layout is missing: rlbench lint --guess ",
-    ),
-    "a method without weights to train": Mistake(
-        lambda folder: ("train", "-m", "mean", "--out", folder / "r"),
-        "error: nothing to train: mean has nothing to train",
     ),
     "a device that torch does not know": Mistake(
         run("-m", "mean", "--device", "gpu"),
@@ -117,10 +100,7 @@ def test_a_mistake_is_answered_with_what_helps(tmp_path, mistake):
         assert not (tmp_path / "cache").exists()
 
 
-@pytest.mark.parametrize(
-    ("package", "kind"),
-    [("metrics", "metrics"), ("baselines", "methods")],
-)
+@pytest.mark.parametrize(("package", "kind"), [("metrics", "metrics"), ("baselines", "methods")])
 def test_a_file_that_shadows_a_package_is_named(tmp_path, package, kind):
     file = tmp_path / f"{package}.py"
     file.write_text("")

@@ -27,14 +27,11 @@ def cache(tmp_path_factory):
     cache = tmp_path_factory.mktemp("limit")
     with pytest.MonkeyPatch.context() as patch:
         patch.setenv("RLBENCH_CACHE", str(cache / "cache"))
-        assert "2 frames of 1 clip of" in rlbench(
-            *RUN, "--limit-frames", 2, "--out", cache / "trial"
-        )
+        trial = rlbench(*RUN, "--limit-frames", 2, "--out", cache / "trial")
+        assert "2 frames of 1 clip of" in trial
         clip = paths.clips_folder() / "tiny-32x24" / "temple"
-        assert sorted(file.name for file in clip.glob("view.*")) == [
-            "view.0000.exr",
-            "view.0001.exr",
-        ]
+        views = sorted(file.name for file in clip.glob("view.*"))
+        assert views == ["view.0000.exr", "view.0001.exr"]
         rlbench("evaluate", cache / "trial", "--preset", "tiny-32x24", "--scenes", "temple")
         rlbench("view", cache / "trial", "--out", cache / "page.html")
         assert read_header(clip).frames == 2  # looking at a trial renders nothing
@@ -48,15 +45,13 @@ def cache(tmp_path_factory):
 
 
 def test_a_trial_has_the_rows_of_the_whole_clip_cut_to_its_frames(cache):
-    trial, cut, whole = (rows(cache / name) for name in ("trial", "cut", "whole"))
+    trial, cut, every, live = (rows(cache / name) for name in ("trial", "cut", "whole", "live"))
     assert trial.equals(cut)
-    assert set(trial["frame"]) >= {0, 1}
-    keys = ["metric", "frame", "value"]
-    of_frames = trial[trial["frame"] >= 0][keys].reset_index(drop=True)
-    same = whole[whole["frame"].isin([0, 1])][keys].reset_index(drop=True)
-    assert of_frames.equals(same)
-    live = rows(cache / "live").query("metric == 'psnr' and frame == 0")["value"].item()
-    assert live == trial.query("metric == 'psnr' and frame == 0")["value"].item()
+    values = trial.query("frame >= 0").set_index(["metric", "frame"])["value"]
+    assert {0, 1} <= set(values.index.get_level_values("frame"))
+    assert values.equals(every.query("frame in [0, 1]").set_index(["metric", "frame"])["value"])
+    first = live.query("metric == 'psnr' and frame == 0")["value"].item()
+    assert first == values["psnr", 0]
 
 
 def test_images_of_a_trial_are_shown_and_scored_again(cache):
@@ -73,11 +68,9 @@ def test_a_scene_file_renders_first_frames_then_the_others(tmp_path):
     guide = (Path(__file__).parents[2] / "docs" / "how-to" / "add-a-scene.md").read_text()
     scene.write_text(guide.partition("```python\n")[2].partition("```")[0])
     words = ("render", scene, "--size", "24x16", "--frames", 4, "--camera", "orbit")
-    rlbench(*words, "--limit-frames", 2, "--out", tmp_path / "part")
-    rlbench(*words, "--out", tmp_path / "whole")
     part, whole = tmp_path / "part", tmp_path / "whole"
-    files = [file.name for file in part.glob("*.exr")]
-    assert all((part / name).read_bytes() == (whole / name).read_bytes() for name in files)
+    rlbench(*words, "--limit-frames", 2, "--out", part)
+    rlbench(*words, "--out", whole)
     assert open_clip(part).digest == open_clip(whole, limit_frames=2).digest
     assert read_header(part).exposure == read_header(whole).exposure
     rlbench(*words, "--out", part)

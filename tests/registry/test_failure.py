@@ -1,15 +1,19 @@
-"""What is said of an error: its text, and the line of a plugin's code that it came from."""
+"""What is said of an error of a plugin, which can raise what it likes and not end the program."""
 
 from __future__ import annotations
 
 import pickle
+import signal
+import threading
 from pathlib import Path
 
 import pytest
 
 from rlbench import registry
 from rlbench.parallel.executor import LOCAL
+from rlbench.registry import PluginExitError, exits_as_errors
 from rlbench.registry.failure import describe_failure, keep_frames
+from tests.cli.conftest import interrupts  # noqa: F401
 from tests.conftest import write_plugin
 
 TAKEN = "ZeroDivisionError: division by zero"
@@ -24,16 +28,13 @@ def raised_by(file: Path, source: str) -> Exception:
     return outcome.error
 
 
-def test_the_line_is_the_last_one_in_the_folder(tmp_path):
+def test_the_line_is_the_last_one_in_the_folder_and_not_of_a_package_installed_there(tmp_path):
     source = "def f():\n    return 1 / 0\n\nf()\n"
     error = raised_by(tmp_path / "bright.py", source)
     assert describe_failure(error, tmp_path) == f"{TAKEN} (bright.py:2)"
     assert describe_failure(error, tmp_path / "elsewhere") == TAKEN
-
-
-def test_a_package_that_is_installed_beside_a_plugin_is_not_its_code(tmp_path):
-    error = raised_by(tmp_path / ".venv" / "lib" / "site-packages" / "lib.py", "1 / 0")
-    assert describe_failure(error, tmp_path) == TAKEN
+    installed = raised_by(tmp_path / ".venv" / "lib" / "site-packages" / "lib.py", "1 / 0")
+    assert describe_failure(installed, tmp_path) == TAKEN
 
 
 def test_rlbench_is_not_the_code_of_a_plugin_in_a_clone_of_it():
@@ -72,3 +73,35 @@ def test_the_reason_of_any_method_can_be_said(tmp_path, method):
     (tmp_path / "torn.py").write_text("raise SystemExit")
     registry.use_plugin(tmp_path / "torn.py")
     assert registry.failure_reason(method, ValueError("no luck")) == "ValueError: no luck"
+
+
+@pytest.mark.usefixtures("interrupts")
+def test_a_ctrl_c_of_the_user_interrupts_plugin_code():
+    with pytest.raises(KeyboardInterrupt), exits_as_errors(), exits_as_errors():
+        signal.raise_signal(signal.SIGINT)
+
+
+@pytest.mark.usefixtures("interrupts")
+def test_an_exit_is_an_error_and_the_handler_of_interrupts_is_put_back():
+    before = signal.getsignal(signal.SIGINT)
+    with pytest.raises(PluginExitError), exits_as_errors(), exits_as_errors():
+        raise SystemExit(0)
+    assert signal.getsignal(signal.SIGINT) == before
+    with pytest.raises(ZeroDivisionError), exits_as_errors():
+        _ = 1 / 0
+
+
+def test_plugin_code_may_run_in_a_thread():
+    errors = []
+
+    def run() -> None:
+        try:
+            with exits_as_errors():
+                raise SystemExit(0)
+        except PluginExitError as error:
+            errors.append(error)
+
+    thread = threading.Thread(target=run)
+    thread.start()
+    thread.join()
+    assert len(errors) == 1

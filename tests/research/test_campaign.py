@@ -8,24 +8,18 @@ import tomllib
 from rlbench import registry
 from tests.cli.runner import CHECKOUT, rlbench
 
+CAMPAIGN = CHECKOUT / "research" / "campaign.toml"
+
 
 def test_the_status_lists_the_trainings_and_starts_nothing(tmp_path):
-    words = (
-        "train",
-        "--queue",
-        CHECKOUT / "research" / "campaign.toml",
-        "--out",
-        tmp_path / "r",
-        "--status",
-    )
-    output = rlbench(*words)
+    output = rlbench("train", "--queue", CAMPAIGN, "--out", tmp_path / "r", "--status")
     assert "ours/paper-C waiting for ours/paper-A2 0 of 20000" in output
     assert re.search(r"\d+ waiting$", output)
     assert not (tmp_path / "r").exists()
 
 
 def test_the_campaign_anchors_the_rows_that_start_from_weights_of_others():
-    rows = tomllib.loads((CHECKOUT / "research" / "campaign.toml").read_text())["training"]
+    rows = tomllib.loads(CAMPAIGN.read_text())["training"]
     started = {row["method"]: registry.training_task(row["method"]).pretrained for row in rows}
     anchored = {row["method"] for row in rows if "anchor" in row}
     assert anchored == {name for name, pretrained in started.items() if pretrained}

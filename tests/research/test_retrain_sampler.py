@@ -1,4 +1,4 @@
-"""Training the sampler alone: any learner trains it, and nothing else."""
+"""Training the sampler alone, in episodes behind a frozen denoiser: nothing else changes."""
 
 from __future__ import annotations
 
@@ -15,35 +15,58 @@ from methods.ours.method import CARDS
 from methods.ours.policy import LEARNERS, RLLIB_APPO, make_learner
 from research import retrain_sampler
 from research.retrain_sampler import SamplerTask, retrain
+from rlbench.run import unroll
 from rlbench.weights import read_card
 from tests.conftest import write_noise
+from tests.methods.test_problem import SIDE, pixel_errors
 
-HAS_RLLIB = all(importlib.util.find_spec(name) for name in ("ray", "gymnasium", "tree"))
+NEEDS_RLLIB = pytest.mark.skipif(
+    not all(importlib.util.find_spec(name) for name in ("ray", "gymnasium", "tree")),
+    reason="needs ray[rllib] and gymnasium",
+)
+QUICK = ("reinforce", "critic")  # which has a network of its own
 
 
 @pytest.fixture
 def task(tmp_path: Path) -> SamplerTask:
     folders = [write_noise(tmp_path / name, h=40, w=48, frames=3) for name in ("one", "two")]
-    return SamplerTask(tuple(folders), crop=32, length=3, seed=1)
+    return SamplerTask(tuple(folders), crop=SIDE, length=3, seed=1)
+
+
+def test_an_episode_of_mean_actions_is_the_page(task):
+    env = task.make_env()
+    generator = torch.Generator().manual_seed(0)
+    torch.nn.init.normal_(env.method.networks.sampler.last.weight, std=0.3, generator=generator)
+    env.reset()
+    spp, clip = env.problem.spp, env.batches.sequence(0)
+    errors, truncated = [], False
+    while not truncated:
+        result = env.step(env.problem.act().detach())
+        assert int(result.counts.sum()) == round(spp * SIDE**2)
+        errors.append(result.errors)
+        truncated = result.truncated
+    with torch.no_grad():
+        frames = list(unroll(env.method, clip, spp))
+    assert len(frames) == 3
+    for frame, error in zip(frames, errors, strict=True):
+        assert torch.equal(error, pixel_errors(frame))
+
+
+def test_episodes_follow_each_other_without_end(task):
+    env = task.make_env()
+    budgets = set()
+    for _ in range(6):
+        assert env.reset().shape == (1, *env.shape)
+        budgets.add(env.problem.spp)
+        assert env.problem.frame.index in (0, 1, 2)
+    assert len(budgets) > 1
 
 
 @pytest.mark.parametrize(
     "name",
     [
-        "reinforce",
-        "critic",  # has a network of its own
-        *(
-            pytest.param(name, marks=pytest.mark.slow)
-            for name in LEARNERS
-            if name not in ("reinforce", "critic")
-        ),
-        pytest.param(
-            RLLIB_APPO,
-            marks=[
-                pytest.mark.slow,
-                pytest.mark.skipif(not HAS_RLLIB, reason="needs ray[rllib] and gymnasium"),
-            ],
-        ),
+        *(pytest.param(n, marks=() if n in QUICK else pytest.mark.slow) for n in LEARNERS),
+        pytest.param(RLLIB_APPO, marks=[pytest.mark.slow, NEEDS_RLLIB]),
     ],
 )
 def test_every_learner_retrains_the_sampler_and_leaves_the_rest(name, task, tmp_path):
@@ -64,7 +87,7 @@ def test_every_learner_retrains_the_sampler_and_leaves_the_rest(name, task, tmp_
 
 
 @pytest.mark.slow
-@pytest.mark.skipif(not HAS_RLLIB, reason="needs ray[rllib] and gymnasium")
+@NEEDS_RLLIB
 def test_rllib_trains_the_papers_sampler_by_one_policy(task, tmp_path):
     task = replace(task, weights=CARDS / "paper.safetensors", variant="paper", one_policy=True)
     retrain(RLLIB_APPO, task, 12, list(task.folders), tmp_path, "a command")
@@ -95,7 +118,7 @@ def test_a_clip_that_the_kept_networks_saw_too_is_listed_once(task, tmp_path):
     assert read_card(tmp_path / "surrogate.safetensors").data == read_card(first).data
 
 
-def test_the_command_takes_a_former_learner_name_and_writes_the_current_one(
+def test_the_command_writes_weights_with_a_card_and_prints_their_score(
     tmp_path, monkeypatch, capsys
 ):
     clips, out = tmp_path / "clips", tmp_path / "out"
@@ -104,18 +127,6 @@ def test_the_command_takes_a_former_learner_name_and_writes_the_current_one(
     words = f"x --by reinforce --frames 2 --crop 32 --clips {clips} --out {out}"
     monkeypatch.setattr(sys, "argv", words.split())
     retrain_sampler.main()
-    assert [file.name for file in sorted(out.iterdir())] == [
-        "reinforce.safetensors",
-        "reinforce.toml",
-    ]
+    assert {file.name for file in out.iterdir()} == {"reinforce.safetensors", "reinforce.toml"}
     assert read_card(out / "reinforce.safetensors").note == "sampler alone, by reinforce"
     assert "reinforce: " in capsys.readouterr().out
-
-
-def test_too_few_clips_are_refused_with_their_number(tmp_path, monkeypatch, capsys):
-    write_noise(tmp_path / "one", frames=1)
-    monkeypatch.setattr(sys, "argv", ["x", "--clips", str(tmp_path)])
-    with pytest.raises(SystemExit):
-        retrain_sampler.main()
-    assert "3 clips or more" in (message := " ".join(capsys.readouterr().err.split()))
-    assert "the folder has 1" in message

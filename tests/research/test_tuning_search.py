@@ -11,10 +11,8 @@ from tests.baselines.test_oidn import CPU, clip
 
 
 def test_the_loss_and_rate_of_the_shipped_row_are_one_point_of_the_search():
-    shipped, searched = (
-        training_task("tuned", CPU, 0),
-        tuning_search.training_task("pu-4e-5", CPU, 0),
-    )
+    shipped = training_task("tuned", CPU, 0)
+    searched = tuning_search.training_task("pu-4e-5", CPU, 0)
     assert searched.max_lr == shipped.max_lr
     assert next(searched.losses(clip(64, 64), 1.0)) == next(shipped.losses(clip(64, 64), 1.0))
 

@@ -20,28 +20,9 @@ from rlbench.system.progress import LoggedProgress
 DEADLINE_S = 20.0  # until a line must have been written, on a busy machine
 
 
-class Clock:
-    """Seconds that pass when the test says so."""
-
-    seconds = 100.0
-
-    def __call__(self) -> float:
-        return self.seconds
-
-
 @pytest.fixture
 def log() -> io.StringIO:
     return io.StringIO()
-
-
-@pytest.fixture
-def clock() -> Clock:
-    return Clock()
-
-
-@pytest.fixture
-def bar(log, clock) -> LoggedProgress:
-    return LoggedProgress(console=Console(file=log), get_time=clock, log_period_s=3600.0)
 
 
 def wait_for(text: str, read) -> str:
@@ -53,34 +34,25 @@ def wait_for(text: str, read) -> str:
     return found
 
 
-def test_a_line_states_the_share_done_and_the_time_left(bar, log, clock):
-    task = bar.add_task("city", total=200)
-    for _ in range(5):
-        clock.seconds += 30
+@pytest.mark.parametrize(
+    ("total", "resumed", "steps", "line"),
+    [
+        (200, 0, 5, "city: 25 % done, about 8 min left\n"),  # 150 at 10 in 30 s: 450 s
+        (10, 0, 0, "city: 0 % done, time left not known yet\n"),
+        (1000, 960, 1, "city: 97 % done, about 90 s left\n"),  # what was done before is no speed
+        (10, 0, 1, ""),
+    ],
+)
+def test_a_line_states_the_share_done_and_the_time_left(log, total, resumed, steps, line):
+    clock, console = [100.0], Console(file=log)
+    bar = LoggedProgress(console=console, get_time=lambda: clock[0], log_period_s=3600.0)
+    task = bar.add_task("city", total=total)
+    bar.update(task, completed=resumed)
+    for _ in range(steps):
+        clock[0] += 30
         bar.advance(task, 10)
     bar.print_status()
-    assert log.getvalue() == "city: 25 % done, about 8 min left\n"  # 150 at 10 in 30 s: 450 s
-
-
-def test_the_time_left_is_not_made_up(bar, log):
-    bar.add_task("temple", total=10)
-    bar.print_status()
-    assert log.getvalue() == "temple: 0 % done, time left not known yet\n"
-
-
-def test_progress_of_an_earlier_run_does_not_count_as_speed(bar, log, clock):
-    task = bar.add_task("ours", total=1000)
-    bar.update(task, completed=900)  # resumed
-    clock.seconds += 10
-    bar.update(task, completed=910)
-    bar.print_status()
-    assert log.getvalue() == "ours: 91 % done, about 90 s left\n"
-
-
-def test_finished_tasks_have_no_line(bar, log):
-    bar.update(bar.add_task("hall", total=1), completed=1)
-    bar.print_status()
-    assert log.getvalue() == ""
+    assert log.getvalue() == line
 
 
 def test_lines_come_by_themselves_until_the_end(log):

@@ -10,7 +10,6 @@ from pathlib import Path
 import pytest
 
 from rlbench.system.provenance import (
-    Machine,
     commit,
     machine,
     missing_packages,
@@ -55,11 +54,10 @@ def test_versions_are_those_of_the_installed_packages():
 
 
 def test_the_machine_is_described():
-    this = machine()
-    assert isinstance(this, Machine)
-    assert this.cores >= 1
-    assert this.cpu
-    assert platform.system() in this.os
+    described = machine()
+    assert described.cores >= 1
+    assert described.cpu
+    assert platform.system() in described.os
 
 
 def test_a_package_that_is_not_installed_is_listed_as_missing_and_has_no_version():

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import os
 from collections.abc import Iterator
-from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import pytest
 
 from rlbench.apps.view.commands.view import describe_traits
+from rlbench.apps.view.viewer import write
 from rlbench.benchmark.results import read
 from rlbench.benchmark.shown_clips import ShownClip
 from rlbench.cli.selection import find_images
@@ -25,8 +25,7 @@ METHODS = ("svgf", "eaw", "mean")
 CHROMIUM = find_chromium()
 
 
-@dataclass(frozen=True)
-class Report:
+class Report(NamedTuple):
     """A page, and what it was made from."""
 
     file: Path
@@ -45,8 +44,6 @@ def run_folder(tmp_path_factory) -> Path:
 @pytest.fixture(scope="session")
 def report(run_folder) -> Report:
     """The page of the run; the times of eaw are uncertain."""
-    from rlbench.apps.view.viewer import write
-
     with pytest.MonkeyPatch.context() as patch:
         patch.setenv("RLBENCH_CACHE", str(run_folder / "cache"))
         rows = read(run_folder / "results")
