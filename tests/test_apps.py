@@ -23,7 +23,7 @@ FOLDERS = (
 )
 IGNORED = (
     *("test_apps.py", "apps", "test_readme.py", "test_site_pages.py"),
-    *("test_training_page.py", "test_claims.py"),
+    *("test_examples.py", "test_claims.py"),
 )
 SELECTION = (  # pages describe the whole
     "tests",
