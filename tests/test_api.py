@@ -45,36 +45,13 @@ LIGHT = [
 PUBLIC = [(module, name) for module in LAZY for name in importlib.import_module(module).__all__]
 
 
-def test_names_of_the_guide_can_be_imported_and_are_public():
-    for module, name in GUARANTEED:
-        assert getattr(importlib.import_module(module), name) is not None
-        assert not name.startswith("_")
-
-
-@pytest.mark.parametrize("module", LAZY)
-def test_public_names_have_a_docstring(module):
-    package = importlib.import_module(module)
-    assert package.__all__
-    for name in package.__all__:
-        thing = getattr(package, name)
-        if inspect.isfunction(thing) or inspect.isclass(thing):
-            text = inspect.getdoc(thing) or ""
-            assert text, name
-            assert not text.startswith(f"{name}(")  # what a dataclass writes where there is none
-
-
-def test_modules_that_need_no_tensors_load_no_torch_and_no_renderer():
-    """One process imports all of them: what a listing, a report or a help text costs."""
-    families = registry.list_plugins("methods")
-    light = [registry.load_family(name).build.partition(":")[0] for name in families]
-    light = [name.rpartition(".")[0] for name in light] + LIGHT
-    reports = importlib.metadata.entry_points(group="rlbench.reports")
-    light += [point.value.partition(":")[0] for point in reports]
-    code = "import importlib, sys; from rlbench.training import TrainingConfig\n"
-    code += f"for name in {LAZY + light}:\n    importlib.import_module(name)\n"
-    code += "    assert not {'torch', 'mitsuba', 'drjit', 'pyoidn'} & set(sys.modules), name\n"
-    code += "    assert name != 'rlbench.benchmark.results' or 'pandas' not in sys.modules\n"
-    subprocess.run([sys.executable, "-c", code], cwd=ROOT, check=True)
+@pytest.mark.parametrize(("module", "name"), [*GUARANTEED, *PUBLIC])
+def test_public_names_can_be_imported_and_have_a_docstring(module, name):
+    thing = getattr(importlib.import_module(module), name)
+    assert not name.startswith("_")
+    if inspect.isfunction(thing) or inspect.isclass(thing):
+        text = inspect.getdoc(thing) or f"{name}("
+        assert not text.startswith(f"{name}(")  # what a dataclass writes where there is none
 
 
 def test_names_on_rlbench_are_in_the_reference():

@@ -28,9 +28,7 @@ CPU = torch.device("cpu")
 SIZE = Size(1, 200, 330)  # larger than a chunk of `rlbench.ops.padded_rows`, and no whole tiles
 LOCAL = [
     name
-    for family in registry.list_plugins("methods")
-    if not registry.import_error("methods", family)
-    for name in registry.load_family(family).method_names()
+    for name in registry.expand(["all/*"], pretrained_only=False)
     if registry.get_variant(name).traits.receptive_field is not None
 ]
 CLIPS = {"static": {"static": True}, "still camera": {"still_camera": True}, "moving": {}}
