@@ -1,4 +1,4 @@
-"""The GitHub action of other people's repositories: its file is valid, and its steps run."""
+"""Files of GitHub: they are valid, the site has least permissions, steps of the action run."""
 
 from __future__ import annotations
 
@@ -24,25 +24,34 @@ HOW_TO = (ROOT / "docs" / "how-to" / "regress-in-ci.md").read_text()
 (WORKFLOW,) = re.findall(r"```yaml\n(.*?)```", HOW_TO, re.DOTALL)
 EXPRESSION = re.compile(r"\$\{\{ *([\w.()!-]+) *\}\}")
 RUNNER = (
-    "runner.os",
-    "runner.arch",
-    "runner.temp",
-    "github.action_path",
-    "github.action_ref",
-    "!cancelled()",
+    *("runner.os", "runner.arch", "runner.temp"),
+    *("github.action_path", "github.action_ref", "!cancelled()"),
 )
+WORKFLOWS = {file.name: file.read_text() for file in (ROOT / ".github/workflows").glob("*.yml")}
+SITE = yaml.safe_load(WORKFLOWS["site.yml"])
+CHECKED = [
+    ("github-actions", (ROOT / "action.yml").read_text()),
+    *(("github-workflows", text) for text in (WORKFLOW, *WORKFLOWS.values())),
+]
 
 
-@pytest.mark.parametrize("schema", ["github-actions", "github-workflows"])
-def test_action_and_example_are_valid_by_the_published_schemas(schema, tmp_path):
+@pytest.mark.parametrize(("schema", "text"), CHECKED, ids=["action", "example", *WORKFLOWS])
+def test_files_are_valid_by_the_published_schemas(schema, text, tmp_path):
     """The schemas are those of schemastore.org, as check-jsonschema ships them."""
-    text = {"github-actions": (ROOT / "action.yml").read_text(), "github-workflows": WORKFLOW}
-    (tmp_path / "checked.yml").write_text(text[schema])
+    (tmp_path / "checked.yml").write_text(text)
     words = ("--builtin-schema", f"vendor.{schema}", tmp_path / "checked.yml")
     checked = subprocess.run(
         [sys.executable, "-m", "check_jsonschema", *words], capture_output=True, text=True
     )
     assert checked.returncode == 0, checked.stdout
+
+
+def test_only_the_deployment_of_the_site_may_write_and_only_official_actions_run():
+    assert SITE["permissions"] == {"contents": "read"}
+    assert "permissions" not in SITE["jobs"]["build"]
+    assert SITE["jobs"]["deploy"]["permissions"] == {"pages": "write", "id-token": "write"}
+    steps = [step for job in SITE["jobs"].values() for step in job["steps"]]
+    assert all(step.get("uses", "actions/").startswith("actions/") for step in steps)
 
 
 def test_every_input_is_used_and_every_expression_is_known():
@@ -77,10 +86,8 @@ class Job:
 
     def __init__(self, folder: Path, inputs: dict[str, str]) -> None:
         self.folder = folder
-        self.known = {
-            f"inputs.{name}": v.get("default", "") for name, v in ACTION["inputs"].items()
-        }
-        self.known |= {f"inputs.{name}": value for name, value in inputs.items()}
+        defaults = {name: value.get("default", "") for name, value in ACTION["inputs"].items()}
+        self.known = {f"inputs.{name}": value for name, value in {**defaults, **inputs}.items()}
         self.known |= {"runner.temp": str(folder.parent / "temp"), "github.action_path": str(ROOT)}
         self.output, self.summary = folder.parent / "output.txt", folder.parent / "summary.md"
 
@@ -92,17 +99,11 @@ class Job:
         }
         path = f"{Path(sys.executable).parent}:{os.environ['PATH']}"
         files = {"GITHUB_OUTPUT": str(self.output), "GITHUB_STEP_SUMMARY": str(self.summary)}
+        own = {"OMP_NUM_THREADS": "1", "PATH": path, **files}
         return subprocess.run(
             ["bash", "--noprofile", "--norc", "-eo", "pipefail", "-c", step["run"]],
             cwd=self.folder,
-            env={
-                **os.environ,
-                "OMP_NUM_THREADS": "1",
-                "PATH": path,
-                **files,
-                **given,
-                **environment,
-            },
+            env={**os.environ, **own, **given, **environment},
             capture_output=True,
             text=True,
         )

@@ -16,7 +16,6 @@ import pytest
 import rlbench
 from rlbench import registry
 from rlbench.benchmark.run_outcome import RunWarning
-from rlbench.clips import write_header
 from tests.conftest import write_noise, write_plugin
 
 ROOT = Path(__file__).parents[1]
@@ -46,51 +45,20 @@ LIGHT = [
 PUBLIC = [(module, name) for module in LAZY for name in importlib.import_module(module).__all__]
 
 
-def test_names_of_the_guide_can_be_imported_and_are_public():
-    for module, name in GUARANTEED:
-        assert getattr(importlib.import_module(module), name) is not None
-        assert not name.startswith("_")
-
-
-@pytest.mark.parametrize("module", LAZY)
-def test_public_names_have_a_docstring(module):
-    package = importlib.import_module(module)
-    assert package.__all__
-    for name in package.__all__:
-        thing = getattr(package, name)
-        if inspect.isfunction(thing) or inspect.isclass(thing):
-            text = inspect.getdoc(thing) or ""
-            assert text, name
-            assert not text.startswith(f"{name}(")  # what a dataclass writes where there is none
+@pytest.mark.parametrize(("module", "name"), [*GUARANTEED, *PUBLIC])
+def test_public_names_can_be_imported_and_have_a_docstring(module, name):
+    thing = getattr(importlib.import_module(module), name)
+    assert not name.startswith("_")
+    if inspect.isfunction(thing) or inspect.isclass(thing):
+        text = inspect.getdoc(thing) or f"{name}("
+        assert not text.startswith(f"{name}(")  # what a dataclass writes where there is none
 
 
 def test_names_on_rlbench_are_in_the_reference():
-    for name in rlbench.__all__:
-        modules = {"run": "api.run", "denoise": "denoise.denoise"}  # else those named so
-        path = modules.get(name, name)
-        assert re.search(rf"^::: rlbench\.{path}$", REFERENCE, re.MULTILINE), name
-
-
-def test_modules_that_need_no_tensors_load_no_torch_and_no_renderer():
-    """One process imports all of them: what a listing, a report or a help text costs."""
-    families = registry.list_plugins("methods")
-    light = [registry.load_family(name).build.partition(":")[0] for name in families]
-    light = [name.rpartition(".")[0] for name in light] + LIGHT
-    reports = importlib.metadata.entry_points(group="rlbench.reports")
-    light += [point.value.partition(":")[0] for point in reports]
-    code = "import importlib, sys; from rlbench.training import TrainingConfig\n"
-    code += f"for name in {LAZY + light}:\n    importlib.import_module(name)\n"
-    code += "    assert not {'torch', 'mitsuba', 'drjit', 'pyoidn'} & set(sys.modules), name\n"
-    subprocess.run([sys.executable, "-c", code], cwd=ROOT, check=True)
-
-
-def test_reading_results_loads_no_pandas():
-    code = "import sys, rlbench, rlbench.benchmark.results; sys.exit('pandas' in sys.modules)"
-    assert subprocess.run([sys.executable, "-c", code], cwd=ROOT).returncode == 0
-
-
-def test_the_table_of_the_reference_lists_the_names_on_rlbench():
     assert re.findall(r"^\| `(\w+)` \|", REFERENCE, re.MULTILINE) == list(rlbench.__all__)
+    modules = {"run": "api.run", "denoise": "denoise.denoise"}  # else those named so
+    described = re.findall(r"^::: rlbench\.([\w.]+)$", REFERENCE, re.MULTILINE)
+    assert {modules.get(name, name) for name in rlbench.__all__} <= set(described)
 
 
 @pytest.mark.parametrize(
@@ -100,11 +68,6 @@ def test_a_name_is_the_function_whatever_was_imported_before(first):
     check = "assert {type(rlbench.run), type(rlbench.denoise)} == {types.FunctionType}"
     code = f"{first}\nimport rlbench, types\n{check}"
     assert subprocess.run([sys.executable, "-c", code], cwd=ROOT).returncode == 0
-
-
-def test_an_unknown_name_is_an_attribute_error():
-    with pytest.raises(AttributeError, match="nothing_of_this_name"):
-        rlbench.nothing_of_this_name  # noqa: B018
 
 
 @pytest.fixture
@@ -149,28 +112,18 @@ def test_a_report_is_written_from_a_dataframe(clips, tmp_path):
     assert "mean" in (tmp_path / "report" / "summary.md").read_text()
 
 
-def test_what_is_installed_is_listed():
-    listing = rlbench.list_installed("methods")
-    assert "ours" in {row["name"] for row in listing["methods"]}
-
-
 @pytest.mark.parametrize(
     ("options", "message"),
     [
-        ({"scenes": "nowhere"}, "no scene nowhere; available: noise"),
         ({"takes": "all"}, "takes= applies to preset scenes only. With clips=, select"),
         ({"pool": "frozen"}, "no pool 'frozen'; available: stored, live"),
-        ({"device": "abacus"}, "device abacus cannot be used"),
-        ({"spp": "10"}, "spp='10': give numbers, samples per pixel above 0"),
         ({"spp": ["1", "0"]}, "spp=['1', '0']: give numbers"),
         ({"spp": [1, float("nan")]}, "spp=[1, nan]: give numbers"),
-        ({"spp": []}, "spp=[]: give numbers"),
         ({"spp": 16, "clips": None}, 'spp=16: the clips of preset.*trace more with pool="live"'),
         ({"seeds": "0,1"}, "seeds='0,1': give numbers, whole numbers from 0 on"),
         ({"limit_frames": 0}, "limit_frames=0: give a whole number of frames"),
         ({"times": "newest"}, 'times="newest": no such times; available: missing, uncertain'),
         ({"plugin": "nowhere.py"}, "no plugin file at .*nowhere.py. A plugin is a Python file"),
-        ({"weights": "random.txt"}, "random.txt"),
     ],
 )
 def test_wrong_arguments_raise_an_error_that_names_them_and_says_what_to_write(
@@ -195,13 +148,5 @@ def test_one_budget_one_scene_one_folder_and_one_plugin_need_no_list(clips, tmp_
 
 def test_a_frame_of_a_clip_is_tensors(clips):
     clip = rlbench.open_clip(clips / "noise")
-    frame = clip.frame(0)
-    assert frame.gbuffer.albedo.shape == (1, 3, 24, 32)
-    assert frame.reference.mean.shape == (1, 3, 24, 32)
     result = next(rlbench.run_clip(rlbench.load_method("mean"), clip, spp=2.0))
-    assert int(result.samples.counts.sum()) == 2 * 24 * 32
-    assert result.image.shape == (1, 3, 24, 32)
-
-
-def test_a_name_of_a_lazy_package_is_the_object_of_its_module():
-    assert write_header is importlib.import_module("rlbench.clips.header").write_header
+    assert clip.frame(0).gbuffer.albedo.shape == result.image.shape == (1, 3, 24, 32)

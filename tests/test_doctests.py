@@ -33,7 +33,3 @@ def test_the_examples_of_a_module_run(name, tmp_path, monkeypatch):
     result = doctest.testmod(module, optionflags=doctest.ELLIPSIS | doctest.NORMALIZE_WHITESPACE)
     assert result.attempted
     assert result.failed == 0
-
-
-def test_public_modules_have_examples():
-    assert {"rlbench", "rlbench.ops.reprojection", "rlbench.clips", "rlbench.run"} <= set(MODULES)

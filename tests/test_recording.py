@@ -17,6 +17,7 @@ from rlbench.checks.frame_edits import edit_radiance
 from rlbench.checks.stress.bad_pixel import plant_in_buffer, plant_in_samples
 from rlbench.clips.procedural.clip import procedural_clip
 from rlbench.frames import Frame, GBuffer, Size, StoredPool
+from rlbench.method import Method
 from rlbench.ops.asking import may_ask
 from rlbench.ops.nested_tensors import read_leaves, replace_leaves
 from rlbench.ops.recording import Fused, RecordedFunction
@@ -61,6 +62,18 @@ def without_questions(frame: Frame) -> Frame:
     buffers = {name: unasked(buffer) for name, buffer in frame.gbuffer.buffers.items()}
     pool = StoredPool(unasked(frame.pool.radiance), frame.pool.rounding_seeds)
     return replace(frame, gbuffer=GBuffer(buffers, frame.gbuffer.static), pool=pool)
+
+
+def run_beside(recorded: RecordedMethod, method: Method, frames: list[Frame], spp: float):
+    """Counts and image of each frame, of both from the state of the method; all frames twice."""
+    for _ in range(2):
+        state = method.start(frames[0].pool.size)
+        for frame in frames:
+            valid = sanitize_frame(frame, method.traits.inputs)
+            with torch.inference_mode():
+                samples, image, _ = run_frame(recorded, valid, state, spp)
+                expected, expected_image, state = run_frame(method, valid, state, spp)
+            yield plain(samples.counts), expected.counts, plain(image), expected_image
 
 
 def test_a_cpu_may_ask_and_a_subclass_of_tensor_may_not():
@@ -109,18 +122,11 @@ def test_a_frame_without_questions_has_the_same_counts_image_and_repairs(name, s
 )
 def test_recorded_stages_return_what_the_method_returns_for_other_frames(name):
     """States are of two kinds at most: before the first frame, and later."""
-    traits, recorder = registry.get_variant(name).traits, Tapes()
-    method = registry.load_method(name, CPU)
-    recorded, spp = RecordedMethod(method, recorder), traits.nearest_spp(0.5)
-    for _ in range(2):
-        state = method.start(SIZE)
-        for frame in hard_frames():
-            valid = sanitize_frame(frame, traits.inputs)
-            with torch.inference_mode():
-                samples, image, _ = run_frame(recorded, valid, state, spp)
-                expected, expected_image, state = run_frame(method, valid, state, spp)
-            assert (plain(samples.counts) != expected.counts).float().mean() < 0.01
-            torch.testing.assert_close(plain(image), expected_image, rtol=1e-3, atol=1e-4)
+    method, recorder = registry.load_method(name, CPU), Tapes()
+    recorded, spp = RecordedMethod(method, recorder), method.traits.nearest_spp(0.5)
+    for counts, others, image, expected in run_beside(recorded, method, hard_frames(), spp):
+        assert (counts != others).float().mean() < 0.01
+        torch.testing.assert_close(image, expected, rtol=1e-3, atol=1e-4)
     kinds = len(recorder.tapes) // 2
     assert kinds <= 2
     assert sum(tape.replays for tape in recorder.tapes) == 2 * (8 - kinds)
@@ -155,16 +161,10 @@ def test_each_stage_is_one_graph_that_returns_what_the_method_returns(name, comp
     """A compiler that fuses operations rounds elsewhere."""
     method = registry.load_method(name, CPU)
     fused, spp = RecordedMethod(method, Fused(Reruns(), compiler)), method.traits.nearest_spp(2.0)
-    clip = list(procedural_clip(3, Size(1, 36, 44), frames=4, cut=3))
-    for _ in range(2):
-        state = method.start(Size(1, 36, 44))
-        for frame in clip:
-            valid = sanitize_frame(frame, method.traits.inputs)
-            with torch.inference_mode():
-                samples, image, _ = run_frame(fused, valid, state, spp)
-                expected, expected_image, state = run_frame(method, valid, state, spp)
-            assert torch.equal(samples.counts, expected.counts)
-            torch.testing.assert_close(image, expected_image, rtol=1e-4, atol=1e-4)
+    frames = list(procedural_clip(3, Size(1, 36, 44), frames=4, cut=3))
+    for counts, others, image, expected in run_beside(fused, method, frames, spp):
+        assert torch.equal(counts, others)
+        torch.testing.assert_close(image, expected, rtol=1e-4, atol=1e-4)
 
 
 def test_what_plan_reprojects_is_recorded_once_and_denoise_alone_is_not_replayed():

@@ -11,7 +11,7 @@ from hypothesis import assume, example, given, settings
 from hypothesis import strategies as st
 from torch import Tensor
 
-from rlbench.frames import StoredPool
+from rlbench.frames import Samples, StoredPool
 from rlbench.sampling import BudgetError, allocate_counts, draw_samples
 
 SEEDS = (1,)  # of one image
@@ -22,18 +22,17 @@ def image(values: list[float]) -> Tensor:
     return torch.tensor(values, dtype=torch.float32).view(1, 1, 1, -1)
 
 
-def counts_of(values: list[int]) -> Tensor:
-    """One row of sample counts, [1 1 1 w]."""
-    return torch.tensor(values).view(1, 1, 1, -1)
+def allocate(density: Tensor, total: int, high: int = 8, seeds: tuple[int, ...] = SEEDS) -> Tensor:
+    """Counts of images without a minimum."""
+    return allocate_counts(density, total, torch.zeros_like(density).long(), high, seeds)
 
 
 def allocate_row(
     density: list[float], total: int, low: list[int] | None = None, high: int = 8
 ) -> list[int]:
     """The counts of one row of pixels."""
-    low = low or [0] * len(density)
-    counts = allocate_counts(image(density), total, counts_of(low), high, SEEDS)
-    return counts.flatten().tolist()
+    lowest = image(low or [0] * len(density)).long()
+    return allocate_counts(image(density), total, lowest, high, SEEDS).flatten().tolist()
 
 
 DENSITY = st.one_of(
@@ -149,8 +148,8 @@ def test_counts_are_exact_shares_rounded_down_or_up(problem):
 )
 def test_the_mean_of_counts_over_seeds_is_the_exact_share(density, total, high):
     values = list(map(float, image(density).flatten()))
-    runs, low = 2000, torch.zeros(2000, 1, 1, len(values), dtype=torch.int64)
-    counts = allocate_counts(image(density).expand(low.shape), total, low, high, tuple(range(runs)))
+    runs = 2000
+    counts = allocate(image(density).expand(runs, 1, 1, -1), total, high, tuple(range(runs)))
     mean = counts.double().mean((0, 1, 2))
     exact = [float(s) for s in exact_shares(values, total, [0] * len(values), high)]
     # a count is one of two adjacent integers: standard deviation at most 0.5; 4.5 standard errors
@@ -196,18 +195,14 @@ def test_an_infeasible_budget_is_an_error(total, low, high):
 
 @pytest.mark.parametrize("spp", [0.01, 0.5, 1.3])
 def test_a_constant_density_gives_quadrants_equal_counts(spp):
-    side, zero = 128, torch.zeros(1, 1, 128, 128, dtype=torch.int64)
-    counts = allocate_counts(
-        torch.ones(1, 1, side, side), round(spp * side * side), zero, 8, SEEDS
-    )[0, 0]
+    counts = allocate(torch.ones(1, 1, 128, 128), round(spp * 128 * 128))[0, 0]
     sums = counts.unfold(0, 64, 64).unfold(1, 64, 64).sum((-1, -2)).flatten()
     # a quadrant is one segment of the curve: its share of about spp * 4096, rounded down or up
     assert sums.max() - sums.min() <= 1
 
 
 def test_half_a_sample_per_pixel_is_a_chequerboard():
-    zero = torch.zeros(1, 1, 64, 64, dtype=torch.int64)
-    counts = allocate_counts(torch.ones(1, 1, 64, 64), 64 * 32, zero, 8, SEEDS)[0, 0]
+    counts = allocate(torch.ones(1, 1, 64, 64), 64 * 32)[0, 0]
     odd = (torch.arange(64)[:, None] + torch.arange(64)) % 2
     assert torch.equal(counts, odd) or torch.equal(counts, 1 - odd)
 
@@ -216,56 +211,61 @@ def test_counts_follow_the_density_below_one_sample():
     """Rounding up the largest remainders would give every pixel one sample pool."""
     density = torch.ones(1, 1, 32, 32)
     density[..., :16], density[..., 16:] = 0.7, 1.3
-    counts = allocate_counts(
-        density, 32 * 32, torch.zeros(1, 1, 32, 32, dtype=torch.int64), 8, SEEDS
-    )
+    counts = allocate(density, 32 * 32)
     assert abs(int(counts[..., :16].sum()) - 0.7 * 512) < 3  # a half is two segments of the curve
 
 
 def test_another_seed_rounds_up_other_pixels_and_the_same_seed_does_not():
-    zero, density = torch.zeros(1, 1, 16, 16, dtype=torch.int64), torch.ones(1, 1, 16, 16)
-    first, again, other = (allocate_counts(density, 100, zero, 8, (k,)) for k in (3, 3, 4))
+    first, again, other = (
+        allocate(torch.ones(1, 1, 16, 16), 100, seeds=(seed,)) for seed in (3, 3, 4)
+    )
     assert torch.equal(first, again)
     assert not torch.equal(first, other)
 
 
 def test_a_batch_of_two_is_two_images():
     density = torch.rand(2, 1, 9, 11, generator=torch.Generator().manual_seed(0))
-    zero = torch.zeros(2, 1, 9, 11, dtype=torch.int64)
-    both = allocate_counts(density, 70, zero, 8, (5, 6))
-    alone = [
-        allocate_counts(density[i : i + 1], 70, zero[i : i + 1], 8, (5 + i,)) for i in range(2)
-    ]
-    assert torch.equal(both, torch.cat(alone))
-
-
-# Drawing
-
-
-def random_pool(h: int = 6, w: int = 7, stored: int = 8, n: int = 1) -> StoredPool:
-    generator = torch.Generator().manual_seed(h * w)
-    return StoredPool(torch.rand(n, stored, 3, h, w, generator=generator), tuple(range(n)))
+    alone = [allocate(density[i : i + 1], 70, seeds=(5 + i,)) for i in range(2)]
+    assert torch.equal(allocate(density, 70, seeds=(5, 6)), torch.cat(alone))
 
 
 def test_a_budget_of_a_hundredth_sample_per_pixel_is_exact():
-    full = StoredPool(torch.zeros(1, 8, 1, 720, 720), SEEDS)  # one channel is enough to count
-    counts = allocate_counts(
-        torch.rand(1, 1, 720, 720), round(0.01 * 720 * 720), full.empty().counts, 8, SEEDS
-    )
-    assert int(counts.sum()) == 5184
+    assert int(allocate(torch.rand(1, 1, 720, 720), round(0.01 * 720 * 720)).sum()) == 5184
+
+
+# Drawing, from a frame of 6 x 7 pixels
+
+
+def random_pool(slots: int = 8, n: int = 1) -> StoredPool:
+    radiance = torch.rand(n, slots, 3, 6, 7, generator=torch.Generator().manual_seed(42))
+    return StoredPool(radiance, tuple(range(n)))
+
+
+def noise(seed: int, n: int = 1) -> Tensor:
+    return torch.rand(n, 1, 6, 7, generator=torch.Generator().manual_seed(seed))
+
+
+def draw(density: Tensor, total_spp: float, pool: StoredPool | None = None) -> Samples:
+    pool = pool or random_pool()
+    return draw_samples(pool, pool.empty(), density, total_spp)
+
+
+def draw_after_pilot(
+    pool: StoredPool, density: Tensor, total_spp: float, pilot_spp: float = 1.0, least: int = 0
+) -> tuple[Samples, Samples]:
+    """The pilot, and all samples with it; density and minimum apply to those after it."""
+    pilot = draw(noise(0, len(pool.radiance)), pilot_spp, pool)
+    return pilot, draw_samples(pool, pilot, density, total_spp, least, discard_pilot=True)
 
 
 @pytest.mark.parametrize("spp", [0.0, 0.01, 0.5, 1.0, 2.3, 8.0])
 def test_drawing_costs_exactly_the_budget(spp):
-    pool = random_pool()
-    density = torch.rand(1, 1, 6, 7, generator=torch.Generator().manual_seed(1))
-    samples = draw_samples(pool, pool.empty(), density, total_spp=spp)
-    assert int(samples.counts.sum()) == round(spp * 42)
+    assert int(draw(noise(1), spp).counts.sum()) == round(spp * 42)
 
 
 def test_a_second_pass_keeps_the_samples_of_the_first():
     pool = random_pool()
-    first = draw_samples(pool, pool.empty(), torch.ones(1, 1, 6, 7), total_spp=1)
+    first = draw(torch.ones(1, 1, 6, 7), 1.0, pool)
     density = torch.zeros(1, 1, 6, 7)
     density[..., 0] = 1
     second = draw_samples(pool, first, density, total_spp=1.5)
@@ -275,103 +275,57 @@ def test_a_second_pass_keeps_the_samples_of_the_first():
 
 
 def test_samples_that_were_not_drawn_are_zero():
-    values = random_pool().radiance.clone()
-    values[:, 1:] = math.nan
-    samples = draw_samples(
-        StoredPool(values, SEEDS), random_pool().empty(), torch.ones(1, 1, 6, 7), total_spp=1
-    )
-    assert torch.equal(samples.radiance[:, 0], values[:, 0])
+    pool = random_pool()
+    pool.radiance[:, 1:] = math.nan
+    samples = draw(torch.ones(1, 1, 6, 7), 1.0, pool)
+    assert torch.equal(samples.radiance[:, 0], pool.radiance[:, 0])
     assert (samples.radiance[:, 1:] == 0).all()
 
 
-def test_the_mean_is_that_of_the_drawn_samples():
+def test_the_mean_is_that_of_the_drawn_samples_and_that_of_none_is_zero():
     pool = random_pool()
-    samples = draw_samples(pool, pool.empty(), torch.ones(1, 1, 6, 7), total_spp=3)
+    samples = draw(torch.ones(1, 1, 6, 7), 3.0, pool)
     torch.testing.assert_close(samples.mean, pool.radiance[:, :3].mean(1))
-
-
-def test_the_mean_of_no_samples_is_zero():
-    assert (random_pool().empty().mean == 0).all()
-
-
-def test_a_minimum_of_one_samples_every_pixel():
-    pool = random_pool()
-    density = torch.zeros(1, 1, 6, 7)
-    density[..., 2, 2] = 1
-    samples = draw_samples(pool, pool.empty(), density, total_spp=1.2, min_samples=1)
-    assert int(samples.counts.min()) == 1
-
-
-def test_a_minimum_beyond_the_budget_is_an_error():
-    pool = random_pool()
-    with pytest.raises(BudgetError, match="does not fit"):
-        draw_samples(pool, pool.empty(), torch.ones(1, 1, 6, 7), total_spp=0.5, min_samples=1)
+    assert (pool.empty().mean == 0).all()
 
 
 def test_a_density_with_another_shape_is_an_error():
-    pool = random_pool()
     with pytest.raises(BudgetError, match=r"\[1, 1, 7, 6\], the frame \[1, 1, 6, 7\]"):
-        draw_samples(pool, pool.empty(), torch.ones(1, 1, 7, 6), total_spp=1)
+        draw(torch.ones(1, 1, 7, 6), 1.0)
 
 
 def test_no_gradient_flows_through_drawing():
-    pool = random_pool()
-    density = torch.ones(1, 1, 6, 7, requires_grad=True)
-    samples = draw_samples(pool, pool.empty(), density, total_spp=1)
-    assert not samples.radiance.requires_grad
-
-
-def numbered_pool(slots: int = 8, h: int = 6, w: int = 7, n: int = 1) -> StoredPool:
-    """A pool whose samples in slot k have radiance k + 1."""
-    radiance = torch.arange(1.0, slots + 1).view(1, -1, 1, 1, 1).expand(n, -1, 3, h, w)
-    return StoredPool(radiance, tuple(range(n)))
-
-
-def noise(seed: int, n: int = 1, h: int = 6, w: int = 7) -> Tensor:
-    return torch.rand(n, 1, h, w, generator=torch.Generator().manual_seed(seed))
+    assert not draw(torch.ones(1, 1, 6, 7, requires_grad=True), 1.0).radiance.requires_grad
 
 
 def test_samples_since_the_pilot_are_the_next_slots():
-    pool = numbered_pool()
-    pilot = draw_samples(pool, pool.empty(), noise(0), 1.0)
-    samples = draw_samples(pool, pilot, noise(1), 3.0, discard_pilot=True)
+    pool = random_pool()
+    pilot, samples = draw_after_pilot(pool, noise(1), 3.0)
     later = samples.since(pilot)
     assert torch.equal(later.counts, samples.counts - pilot.counts)
-    first = (pilot.counts + 1).where(later.counts > 0, 0)[:, None].expand(-1, -1, 3, -1, -1)
-    assert torch.equal(later.radiance[:, :1], first.float())
-    assert torch.equal(later.radiance.sum(1), samples.radiance.sum(1) - pilot.radiance.sum(1))
+    slot = pilot.counts[:, None].expand(-1, -1, 3, -1, -1)
+    first = pool.radiance.gather(1, slot).where(later.counts[:, None] > 0, 0.0)
+    assert torch.equal(later.radiance[:, :1], first)
+    torch.testing.assert_close(
+        later.radiance.sum(1), samples.radiance.sum(1) - pilot.radiance.sum(1)
+    )
 
 
-def test_a_discarded_pilot_counts_towards_the_budget():
-    pool = numbered_pool(n=2)
-    pilot = draw_samples(pool, pool.empty(), noise(0, n=2), 1.5)
-    samples = draw_samples(pool, pilot, noise(1, n=2), 4.0, discard_pilot=True)
-    assert samples.counts.flatten(1).sum(1).tolist() == [4 * 42, 4 * 42]
+@pytest.mark.parametrize(("n", "power", "spp"), [(2, 1, 4.0), (1, 4, 7.0), (1, 4, 8.0)])
+def test_a_discarded_pilot_counts_towards_the_budget_and_the_size_of_the_pool(n, power, spp):
+    _, samples = draw_after_pilot(random_pool(n=n), noise(1, n) ** power, spp)
+    assert samples.counts.flatten(1).sum(1).tolist() == [spp * 42] * n
+    assert int(samples.counts.max()) <= 8
 
 
 def test_samples_after_a_discarded_pilot_follow_the_density_alone():
-    pool = numbered_pool(slots=16)
-    pilot = draw_samples(pool, pool.empty(), noise(0), 2.0)
     density = torch.ones(1, 1, 6, 7)
     density[..., :3] = 3
     share = 42 * 4 / int(density.sum())
-    samples = draw_samples(pool, pilot, density, 6.0, discard_pilot=True).since(pilot)
-    assert ((samples.counts - share * density).abs() < 1).all()
+    pilot, samples = draw_after_pilot(random_pool(slots=16), density, 6.0, pilot_spp=2.0)
+    assert ((samples.since(pilot).counts - share * density).abs() < 1).all()
 
 
 def test_the_minimum_applies_to_samples_after_a_discarded_pilot():
-    pool = numbered_pool()
-    pilot = draw_samples(pool, pool.empty(), noise(0), 1.0)
-    samples = draw_samples(
-        pool, pilot, noise(1) ** 8, 4.0, min_samples=1, discard_pilot=True
-    ).since(pilot)
-    assert int(samples.counts.min()) == 1
-
-
-@pytest.mark.parametrize("total_spp", [7.0, 8.0])
-def test_a_discarded_pilot_counts_towards_the_size_of_the_pool(total_spp):
-    pool = numbered_pool()
-    pilot = draw_samples(pool, pool.empty(), noise(0), 1.0)
-    samples = draw_samples(pool, pilot, noise(1) ** 4, total_spp, discard_pilot=True)
-    assert int(samples.counts.max()) == 8
-    assert int(samples.counts.sum()) == total_spp * 42
+    pilot, samples = draw_after_pilot(random_pool(), noise(1) ** 8, 4.0, least=1)
+    assert int(samples.since(pilot).counts.min()) == 1

@@ -28,7 +28,8 @@ def test_a_valid_frame_is_handed_over_without_copies_and_without_repairs():
     original = frame()
     gbuffer, pool, repairs, _ = sanitize_frame(original, INPUTS)
     assert all(gbuffer.buffers[name] is original.gbuffer.buffers[name] for name in INPUTS)
-    assert torch.equal(pool.read(pool.empty(), _counts(2)), _read(original, 2))
+    counts, drawn = torch.full((1, 1, 8, 9), 2), original.pool.read
+    assert torch.equal(pool.read(pool.empty(), counts), drawn(original.pool.empty(), counts))
     assert not repairs
 
 
@@ -49,18 +50,12 @@ def test_repairs_are_counted_by_pixel():
     assert all(not buffer.isnan().any() for buffer in gbuffer.buffers.values())
 
 
-def test_a_bad_sample_is_counted_once_though_two_passes_read_it():
+def test_a_bad_sample_is_counted_once_it_is_drawn_though_two_passes_read_it():
     _, pool, repairs, _ = sanitize_frame(plant_in_samples(frame(), math.nan, 3, 4), INPUTS)
-    first = draw_samples(pool, pool.empty(), torch.ones(1, 1, 8, 9), 1.0)
-    draw_samples(pool, first, torch.ones(1, 1, 8, 9), 2.0)
-    assert repairs == {"radiance": 1}
-
-
-def test_a_bad_sample_that_is_not_drawn_is_not_counted():
-    bad = replace(plant_in_samples(frame(), math.nan, 3, 4))
-    _, pool, repairs, _ = sanitize_frame(bad, INPUTS)
-    draw_samples(pool, pool.empty(), torch.ones(1, 1, 8, 9), 0.0)
-    assert not repairs
+    samples = pool.empty()
+    for spp, counted in ((0.0, {}), (1.0, {"radiance": 1}), (2.0, {"radiance": 1})):
+        samples = draw_samples(pool, samples, torch.ones(1, 1, 8, 9), spp)
+        assert repairs == counted
 
 
 @pytest.mark.parametrize(("read", "is_finite"), [(sanitize_frame, True), (read_unsanitized, False)])
@@ -71,21 +66,10 @@ def test_a_run_is_sanitised_unless_a_test_switches_it_off(read, is_finite):
     assert dict(result.repairs) == ({"radiance": 1} if is_finite else {})
 
 
-def _counts(spp: int) -> torch.Tensor:
-    return torch.full((1, 1, 8, 9), spp)
-
-
-def _read(original, spp: int) -> torch.Tensor:
-    return original.pool.read(original.pool.empty(), _counts(spp))
-
-
 def test_a_buffer_named_after_another_has_its_rule():
     """albedo_first is an albedo."""
-    original = frame()
-    albedo = original.gbuffer.albedo.clone()
-    albedo[..., 3, 4] = math.nan
-    gbuffer = replace(original.gbuffer, buffers={"albedo_first": albedo})
-    valid = sanitize_frame(replace(original, gbuffer=gbuffer), frozenset({"albedo_first"}))
+    bad = plant_in_buffer(frame(), "albedo", math.nan, 3, 4)
+    gbuffer = replace(bad.gbuffer, buffers={"albedo_first": bad.gbuffer.albedo})
+    valid = sanitize_frame(replace(bad, gbuffer=gbuffer), frozenset({"albedo_first"}))
     assert valid.gbuffer.extra("albedo_first").isfinite().all()
-    valid.questions.answer()
     assert valid.repairs == {"albedo_first": 1}

@@ -38,23 +38,19 @@ def boards(baseline):
 
 
 @pytest.fixture(scope="module")
-def methods():
-    return method_facts()
+def facts():
+    """Those of the methods, and of the scenes."""
+    return method_facts(), scene_facts()
 
 
 @pytest.fixture(scope="module")
-def scenes():
-    return scene_facts()
-
-
-@pytest.fixture(scope="module")
-def site(boards, methods, scenes):
+def site(boards, facts):
     """Pages by path, and the navigation."""
-    return make_pages(boards, methods, scenes, PICTURES, IMAGES)
+    return make_pages(boards, *facts, PICTURES, IMAGES)
 
 
-def test_every_row_that_runs_as_shipped_has_a_page_with_its_question(site, methods):
-    pages, _ = site
+def test_every_row_that_runs_as_shipped_has_a_page_with_its_question(site, facts):
+    (pages, _), (methods, _) = site, facts
     shipped = [method for method in methods if not method.is_to_be_trained]
     assert 0 < len(shipped) < len(methods)
     for method in shipped:
@@ -76,8 +72,8 @@ def test_scores_of_a_method_are_those_of_the_baseline(site, baseline):
     assert cells[4] == f"{own['city'].psnr:.2f}\u00a0±{own['city'].stderr_db:.2f}"
 
 
-def test_a_page_has_the_card_of_its_weights_and_the_pictures_that_show_the_method(site, methods):
-    (card,) = (method.card for method in methods if method.name == "ours")
+def test_a_page_has_the_card_of_its_weights_and_the_pictures_that_show_the_method(site, facts):
+    (card,) = (method.card for method in facts[0] if method.name == "ours")
     assert f"`{card.sha256[:16]}`" in site[0]["methods/ours/index.md"]
     assert f"{card.parameters:,} values" in site[0]["methods/ours/index.md"]
     shown = {path for path, text in site[0].items() if "(/results/images.png)" in text}
@@ -155,8 +151,8 @@ def places():
     return make_boards(pd.concat(tables, ignore_index=True), "From a folder.")
 
 
-def test_each_preset_size_and_device_has_a_leaderboard_with_its_own_scores(places, methods, scenes):
-    pages, _ = make_pages(places, methods, scenes, report="leaderboard/report.html")
+def test_each_preset_size_and_device_has_a_leaderboard_with_its_own_scores(places, facts):
+    pages, _ = make_pages(places, *facts, report="leaderboard/report.html")
     titles = [", ".join(place) for place in PLACES]
     assert [board.title for board in places] == titles
     for offset, title in enumerate(titles):
@@ -167,16 +163,12 @@ def test_each_preset_size_and_device_has_a_leaderboard_with_its_own_scores(place
         assert float(at_one) == pytest.approx(PSNR_OF_OURS + offset, abs=0.006)  # two decimals
         for page in ("leaderboard/index.md", "methods/ours/index.md", "scenes/city.md"):
             assert f"[{title}](/{path})" in pages[page]
-
-
-def test_a_method_has_its_time_at_1_spp_and_one_without_results_says_so(places, methods):
-    pages, _ = make_pages(places, methods, [])
     cost = "inference 16.5 ms a frame at 1 spp: mini, 192x192, AMD EPYC"
     assert cost in pages["methods/ours/index.md"]
     assert "None in the results of this site" in pages["methods/svgf/index.md"]
 
 
-def test_text_of_a_stranger_stays_text(methods, boards):
-    odd = replace(methods[0], name="odd", family="odd", question="<b>|</b> [x](y)")
+def test_text_of_a_stranger_stays_text(facts, boards):
+    odd = replace(facts[0][0], name="odd", family="odd", question="<b>|</b> [x](y)")
     page = make_pages(boards, [odd], [])[0]["methods/odd/index.md"]
     assert r"\<b\>\|\</b\> \[x\](y)" in page

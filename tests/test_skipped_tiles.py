@@ -17,7 +17,6 @@ from rlbench.benchmark.runner import RunSummary
 from rlbench.clips.in_memory import InMemoryClip
 from rlbench.clips.procedural.clip import procedural_clip
 from rlbench.errors import PluginError
-from rlbench.family import Traits
 from rlbench.frames import Size
 from rlbench.method import Method
 from rlbench.ops.nested_tensors import is_bit_equal, iterate_tensors
@@ -29,9 +28,7 @@ CPU = torch.device("cpu")
 SIZE = Size(1, 200, 330)  # larger than a chunk of `rlbench.ops.padded_rows`, and no whole tiles
 LOCAL = [
     name
-    for family in registry.list_plugins("methods")
-    if not registry.import_error("methods", family)
-    for name in registry.load_family(family).method_names()
+    for name in registry.expand(["all/*"], pretrained_only=False)
     if registry.get_variant(name).traits.receptive_field is not None
 ]
 CLIPS = {"static": {"static": True}, "still camera": {"still_camera": True}, "moving": {}}
@@ -81,16 +78,13 @@ def test_most_pixels_of_a_still_scene_are_not_denoised_again(kind, least):
     assert sum(method.pixels) < (5 - 3 * least / 2) * SIZE.h * SIZE.w  # with those in reach
 
 
-def test_a_moving_camera_denoises_each_pixel_once_a_frame():
-    method = CountPixels(load("eaw/still"))
-    assert [result.state.skipped for result in run(SkipTiles(method), make_clip())] == [0.0] * 5
-    assert method.pixels == [SIZE.h * SIZE.w] * 5
-
-
-def test_uniform_samples_leave_no_tile_to_skip():
+@pytest.mark.parametrize(("name", "kind"), [("eaw/still", "moving"), ("mean", "static")])
+def test_a_moving_camera_and_uniform_samples_leave_no_tile_to_skip(name, kind):
     """Dither spreads a quarter of a sample per pixel over every 2 x 2 pixels."""
-    frames = run(SkipTiles(load("mean")), make_clip(static=True))
-    assert [result.state.skipped for result in frames] == [0.0] * 5
+    method = CountPixels(load(name))
+    results = run(SkipTiles(method), make_clip(**CLIPS[kind]))
+    assert [result.state.skipped for result in results] == [0.0] * 5
+    assert method.pixels == [SIZE.h * SIZE.w] * 5
 
 
 @dataclass(frozen=True)
@@ -150,17 +144,13 @@ def test_a_batch_skips_only_what_is_unchanged_in_all_of_its_clips():
 
 
 @dataclass(frozen=True)
-class Local:
+class Remembers(MethodWrapper[Method]):
     """A local method with any state."""
 
     state: object
-    traits: Traits = Traits(receptive_field=0)
 
     def start(self, size):
         return self.state
-
-    def plan(self, gbuffer, samples, state):
-        return torch.ones_like(samples.counts, dtype=torch.float32)
 
     def denoise(self, gbuffer, samples, state):
         return samples.mean, state
@@ -179,7 +169,7 @@ class TwoParts(NamedTuple):
 def test_a_state_that_cannot_be_cut_into_tiles_is_an_error(state):
     clip = make_clip(3, Size(1, 64, 64), static=True)
     with pytest.raises(PluginError, match="return None or a named tuple of tensors"):
-        run(SkipTiles(Local(state)), clip)
+        run(SkipTiles(Remembers(load("mean"), state)), clip)
 
 
 def test_a_method_without_a_receptive_field_is_an_error():
@@ -187,23 +177,13 @@ def test_a_method_without_a_receptive_field_is_an_error():
         SkipTiles(load("eaw"))
 
 
-def test_a_negative_receptive_field_is_an_error():
-    with pytest.raises(ValueError, match="receptive_field is -1"):
-        Traits(receptive_field=-1)
-
-
 def test_rows_of_skipped_tiles_have_equal_scores_and_the_share(clip_folder, tmp_path):
+    """A method without a receptive field keeps its row."""
     name = "eaw/still"
-    plan = RunPlan((name,), (StoredSource(clip_folder),), (0.25,), skip_tiles=True)
+    plan = RunPlan((name, "eaw"), (StoredSource(clip_folder),), (1.0,), skip_tiles=True)
     measure_scores(replace(plan, skip_tiles=False), tmp_path / "r")
-    assert measure_scores(plan, tmp_path / "r") == RunSummary(measured=1)
+    assert measure_scores(plan, tmp_path / "r") == RunSummary(measured=1, cached=1)
     rows = results.read(tmp_path / "r").set_index(["method", "frame", "metric"])["value"]
     assert rows[name, 2, "psnr"] == rows[f"{name}@tiles", 2, "psnr"]
     assert 0 <= rows[f"{name}@tiles", 2, "tiles_skipped"] <= 1
     assert (name, 2, "tiles_skipped") not in rows.index
-
-
-def test_methods_without_a_receptive_field_keep_their_rows(clip_folder, tmp_path):
-    plan = RunPlan(("eaw",), (StoredSource(clip_folder),), (1.0,))
-    measure_scores(plan, tmp_path / "r")
-    assert measure_scores(replace(plan, skip_tiles=True), tmp_path / "r") == RunSummary(cached=1)

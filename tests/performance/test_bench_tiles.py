@@ -4,9 +4,7 @@ from __future__ import annotations
 
 import statistics
 import time
-from collections.abc import Iterator
 from dataclasses import dataclass, field
-from typing import Any
 
 import pytest
 
@@ -16,18 +14,15 @@ from rlbench.checks.frame_edits import to_clip
 from rlbench.clips.procedural.clip import procedural_clip
 from rlbench.frames import Size
 from rlbench.method import Method
-from rlbench.run import FrameResult, run_clip
+from rlbench.run import run_clip
 from rlbench.wrappers import MethodWrapper, SkipTiles
 
 FRAMES, SPP, WARM_UP = 9, 0.25, 3  # tiles are skipped from the third frame on
 SIZES = {"1280x720": Size(1, 720, 1280), "640x360": Size(1, 360, 640)}
 CLIPS = {"nothing moves": True, "three objects move": False}
 COLUMNS = (
-    "pixels skipped",
-    "denoise, time / time without",
-    "largest difference",
-    "PSNR [dB]",
-    "of `mean`",
+    *("still camera, 0.25 spp", "pixels skipped", "denoise, time / time without"),
+    *("largest difference", "PSNR [dB]", "of `mean`"),
 )
 
 
@@ -44,47 +39,24 @@ class Timed(MethodWrapper[Method]):
         return result
 
 
-@pytest.fixture(scope="module")
-def table(request: pytest.FixtureRequest) -> Iterator[dict[str, list[str]]]:
-    """Cells by clip; printed at the end."""
-    rows: dict[str, list[str]] = {}
-    yield rows
-    lines = [
-        f"| still camera, 0.25 spp | {' | '.join(COLUMNS)} |",
-        f"|---|{'---:|' * len(COLUMNS)}",
-    ]
-    lines += [f"| {clip} | {' | '.join(cells)} |" for clip, cells in rows.items()]
-    with request.config.pluginmanager.getplugin("capturemanager").global_and_fixture_disabled():
-        print("", *lines, sep="\n")  # noqa: T201
-
-
 @pytest.mark.parametrize("static", CLIPS)
 @pytest.mark.parametrize("size", SIZES)
-@pytest.mark.benchmark(group="a frame of eaw/still at 0.25 spp, with skipped tiles and without")
-def test_skipped_tiles(benchmark: Any, table: dict[str, list[str]], size: str, static: str) -> None:
+def test_skipped_tiles(benchmark, table, size, static):
     """Frame by frame in turn, so that other load on the machine slows both."""
     clip = procedural_clip(3, SIZES[size], FRAMES, 8, static=CLIPS[static], still_camera=True)
-    frames = to_clip(clip)
-    methods = Timed(Still()), Timed(SkipTiles(Still()))
+    frames, methods = to_clip(clip), (Timed(Still()), Timed(SkipTiles(Still())))
     pairs = zip(*(run_clip(method, frames, SPP) for method in methods), strict=True)
-    kept, differences, psnr = [], [], registry.load_plugin("metrics", "psnr").score
-
-    def run_frame() -> None:
-        plain, skipping = next(pairs)
-        results[:] = [plain]
-        kept.append(skipping.state.skipped)
-        differences.append(float((plain.image - skipping.image).abs().max()))
-
-    results: list[FrameResult] = []
-    benchmark.pedantic(run_frame, rounds=FRAMES)
+    results, psnr = [], registry.load_plugin("metrics", "psnr")
+    benchmark.pedantic(lambda: results.append(next(pairs)), rounds=FRAMES)
     medians = [statistics.median(method.seconds[WARM_UP:]) for method in methods]
-    ratio, largest = medians[1] / medians[0], max(differences)
-    mean = list(run_clip(registry.load_method("mean", results[0].image.device), frames, SPP))
+    skipped = statistics.fmean(after.state.skipped for _, after in results[WARM_UP:])
+    largest = max(float((plain.image - after.image).abs().max()) for plain, after in results)
+    *_, mean = run_clip(registry.load_method("mean"), frames, SPP)
     scores = (
-        float(psnr(r.image, r.frame.reference.half_a, r.frame.reference.half_b))
-        for r in (results[-1], mean[-1])
+        float(psnr.score(psnr.compare(each.image, truth.half_a, truth.half_b)))
+        for each, truth in ((each, each.frame.reference) for each in (results[-1][0], mean))
     )
-    share = f"{statistics.fmean(kept[WARM_UP:]):.0%}"
-    cells = [share, f"{ratio:.2f}", f"{largest:g}", *(f"{score:.1f}" for score in scores)]
-    table[f"{static}, {size}"] = cells
+    cells = (f"{skipped:.0%}", f"{medians[1] / medians[0]:.2f}", f"{largest:g}")
+    cells = (*cells, *(f"{score:.1f}" for score in scores))
+    table[f"{static}, {size}"] = dict(zip(COLUMNS[1:], cells, strict=True))
     assert largest == 0
