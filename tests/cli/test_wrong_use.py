@@ -64,7 +64,7 @@ MESSAGES = {
     "TRAIN --preset train,mini": "preset 'mini' is a test set",
     "TRAIN --preset mini-640x360": "Choose: train, train-eventful, train-hard, train-real",
     "TRAIN --validate unseen": "--validate unseen: this is a reported test set",
-    "TRAIN --mix 0.3": "--mix is the share of crops from --clips",
+    "TRAIN --clips clips --mix 0.3": "--mix is the share of crops from --clips",
     "TRAIN --mix 1.5 --preset train": "'1.5' is not a share. Give a number between 0 and 1",
     "TRAIN --clips clips --holdout hall": "--holdout trains on test scenes of a preset, and",
     "TRAIN --quick --seeds 3": "--quick trains on clips of its own, and --seeds chooses others",
