@@ -46,61 +46,52 @@ def test_a_command_has_the_options_of_its_record_and_their_defaults(command, rec
 
 
 @pytest.mark.parametrize(
-    ("text", "budgets"),
-    [("0.5,1,2", (0.5, 1, 2)), ("1,1.0", (1,)), (" 1 , 4 ", (1, 4))],
+    ("parse", "text", "value"),
+    [
+        (arguments.parse_budgets, "0.5,1,2", (0.5, 1, 2)),
+        (arguments.parse_budgets, " 1 , 4, 1.0 ", (1, 4)),
+        (arguments.parse_train_spp, "default", ()),  # of the method
+        (arguments.parse_train_spp, "0.5,4", (0.5, 4)),
+        (arguments.parse_seeds, "0:3", (0, 1, 2)),
+        (arguments.parse_seeds, "3,1,3", (3, 1)),
+        (arguments.parse_seeds, "0:2,9,1:3", (0, 1, 9, 2)),
+        (arguments.parse_seeds, (3,), (3,)),
+        (arguments.parse_size, "320x192", (192, 320)),  # height, width
+        (arguments.parse_positive, "0.5", 0.5),
+        (arguments.parse_positive, 1.5, 1.5),
+        (arguments.parse_definition, "a=b=c", ("a", "b=c")),
+        (arguments.parse_definition, "a=", ("a", "")),
+    ],
 )
-def test_budgets_are_different_numbers(text, budgets):
-    assert arguments.parse_budgets(text) == budgets
+def test_a_value_is_parsed(parse, text, value):
+    assert parse(text) == value
 
 
-@pytest.mark.parametrize("text", ["one", "-1", "nan", "1,inf", "", ","])
-def test_other_budgets_are_refused(text):
-    with pytest.raises(typer.BadParameter, match="no list of budgets. Give samples per pixel"):
-        arguments.parse_budgets(text)
-
-
-def test_default_training_budgets_are_those_of_the_method():
-    assert arguments.parse_train_spp("default") == ()
-    assert arguments.parse_train_spp("0.5,4") == (0.5, 4)
+REFUSED = {
+    arguments.parse_budgets: (
+        ("one", "-1", "nan", "1,inf", "", ","),
+        "no list of budgets. Give samples per pixel",
+    ),
+    arguments.parse_seeds: (
+        ("48:0", "a", "", "-1", "1:", ":3", "1:2:3", "1.5"),
+        "a range such as 0:48, which excludes its end",
+    ),
+    arguments.parse_size: (
+        ("320", "0x10", "10x0", "axb", "10x10x10", "-1x2"),
+        "is no size. Give WIDTHxHEIGHT",
+    ),
+    arguments.parse_positive: (("0", "-1", "nan", "inf", "much"), "not a number above 0"),
+    arguments.parse_definition: (("a", "=b"), "is no NAME=VALUE"),
+}
 
 
 @pytest.mark.parametrize(
-    ("text", "seeds"),
-    [("0:3", (0, 1, 2)), ("7", (7,)), ("3,1", (3, 1)), ("0:2,9,1:3", (0, 1, 9, 2)), ("0,0", (0,))],
+    ("parse", "text", "message"),
+    [(parse, text, why) for parse, (texts, why) in REFUSED.items() for text in texts],
 )
-def test_seeds_are_lists_and_ranges_without_their_end(text, seeds):
-    assert arguments.parse_seeds(text) == seeds
-
-
-@pytest.mark.parametrize("text", ["48:0", "a", "", "-1", "1:", ":3", "1:2:3", "1.5"])
-def test_other_seeds_are_refused(text):
-    with pytest.raises(typer.BadParameter, match="a range such as 0:48, which excludes its end"):
-        arguments.parse_seeds(text)
-
-
-def test_a_size_is_width_and_height():
-    assert arguments.parse_size("320x192") == (192, 320)  # height, width
-
-
-@pytest.mark.parametrize("text", ["320", "0x10", "10x0", "axb", "10x10x10", "-1x2"])
-def test_other_sizes_are_refused(text):
-    with pytest.raises(typer.BadParameter, match="is no size. Give WIDTHxHEIGHT"):
-        arguments.parse_size(text)
-
-
-@pytest.mark.parametrize("text", ["0", "-1", "nan", "inf", "much"])
-def test_numbers_that_are_not_positive_are_refused(text):
-    assert arguments.parse_positive("0.5") == 0.5
-    with pytest.raises(typer.BadParameter, match="not a number above 0"):
-        arguments.parse_positive(text)
-
-
-def test_a_definition_is_a_name_and_a_value():
-    assert arguments.parse_definition("a=b=c") == ("a", "b=c")
-    assert arguments.parse_definition("a=") == ("a", "")
-    for text in ("a", "=b"):
-        with pytest.raises(typer.BadParameter, match="is no NAME=VALUE"):
-            arguments.parse_definition(text)
+def test_other_values_are_refused(parse, text, message):
+    with pytest.raises(typer.BadParameter, match=message):
+        parse(text)
 
 
 @pytest.mark.parametrize(
@@ -136,11 +127,6 @@ def test_weights_may_be_named(text, expected, tmp_path, monkeypatch):
 def test_weights_without_a_file_or_a_possible_name_are_refused(text, message):
     with pytest.raises(typer.BadParameter, match=message):
         arguments.parse_weights(text)
-
-
-def test_values_that_are_no_text_are_unchanged():
-    assert arguments.parse_seeds((3,)) == (3,)
-    assert arguments.parse_positive(1.5) == 1.5
 
 
 def test_all_skips_a_broken_family_and_says_so(tmp_path, monkeypatch, capsys):

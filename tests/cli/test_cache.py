@@ -80,23 +80,6 @@ def test_a_dry_run_removes_nothing(cache):
     assert files(cache) == before
 
 
-@pytest.mark.parametrize(
-    ("words", "message"),
-    [
-        (
-            ("prune", "--preset", "unsen"),
-            "the cache has no clip of it; available: mini, unseen. Did",
-        ),
-        (("prune", "--older-than", "soon"), "'soon' is no age. Give hours, days or weeks: 12h"),
-        (("--dry-run",), "select what is removed: rlbench cache prune"),
-        (("purge",), "'purge' is not one of 'list', 'prune'"),
-    ],
-)
-@pytest.mark.usefixtures("cache")
-def test_wrong_use_of_cache_is_one_message(words, message):
-    assert message in rlbench("cache", *words, code=2)
-
-
 def test_an_empty_cache_is_no_error():
     assert json.loads(rlbench("cache", "--json"))["entries"] == []
     assert "0 entries" in rlbench("cache", "prune")

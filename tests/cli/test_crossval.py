@@ -7,14 +7,12 @@ from dataclasses import replace
 from pathlib import Path
 
 import pytest
-from typer.testing import CliRunner
 
 from rlbench import registry
 from rlbench.benchmark import results
 from rlbench.benchmark.clip_sources import StoredSource
 from rlbench.benchmark.run_plan import RunPlan
 from rlbench.benchmark.runner import ProgressCallbacks, RunSummary
-from rlbench.cli.app import app
 from rlbench.cli.crossval_folds import Fold, crossval, row_names, variant_to_train
 from rlbench.training.dataset import TrainingSplit
 from rlbench.training.loop import TrainingRuns
@@ -87,10 +85,3 @@ def test_only_trained_methods_have_the_label_crossval():
     plan = RunPlan(("mean", "oidn", "ntas"), ())
     assert row_names(plan) == ["mean", "oidn", "ntas@crossval"]
     assert row_names(replace(plan, methods=("ntas",))) == ["ntas@crossval"]
-
-
-def test_an_unknown_scene_is_an_error():
-    arguments = ["crossval", "-m", "ntas", "--scenes", "attic", "--device", "cpu"]
-    result = CliRunner().invoke(app, arguments)
-    assert result.exit_code == 2
-    assert "preset 'mini' has: city, temple, hall" in result.output

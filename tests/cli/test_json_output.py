@@ -50,28 +50,22 @@ def test_a_run_with_images_that_are_not_finite_names_them(clip_folder, tmp_path)
     assert not found["passed"]
 
 
-@pytest.mark.parametrize(
-    ("words", "name"),
-    [
-        (("check", "bad", "--plugin", "bad.py"), "bad"),
-        pytest.param(
-            ("lint", "clips/noise"),
-            "noise: 24 x 20 pixels, 3 frames",
-            marks=pytest.mark.app("dumps"),
-        ),
-    ],
-)
-@pytest.mark.usefixtures("clip_folder")
-def test_each_check_is_listed_with_its_verdict(tmp_path, monkeypatch, words, name):
-    monkeypatch.chdir(tmp_path)
-    write_plugin(tmp_path / "bad.py", "bad", body="return samples.mean * 0 / 0, None")
-    found = document(*words, code=1)
+def test_each_check_is_listed_with_its_verdict(tmp_path):
+    plugin = write_plugin(tmp_path / "bad.py", "bad", body="return samples.mean * 0 / 0, None")
+    found = document("check", "bad", "--plugin", plugin, code=1)
     assert found.keys() == keys(json_output.ChecksOutput)
     (checked,) = found["checked"]
-    assert checked["name"] == name
+    assert checked["name"] == "bad"
     failed = [check for check in checked["checks"] if check["verdict"] == "failed"]
     assert failed
     assert all(check["remedy"] for check in failed)
+
+
+@pytest.mark.app("dumps")
+@pytest.mark.usefixtures("clip_folder")
+def test_a_clip_is_listed_by_name_and_size(tmp_path):
+    (checked,) = document("lint", tmp_path / "clips" / "noise", code=1)["checked"]
+    assert checked["name"] == "noise: 24 x 20 pixels, 3 frames"
 
 
 def test_report_lists_files_and_what_it_could_not_write(run_mean, tmp_path):

@@ -68,19 +68,6 @@ def test_a_new_method_is_scored_without_being_installed(make, tmp_path):
     assert "passed: no cell failed" in rlbench("run", "-m", "scored,mean", *words)
 
 
-def test_a_change_of_any_module_of_a_package_is_measured_again(make, tmp_path):
-    folder, clip = make("edited"), write_world(tmp_path / "clips" / "world")
-    code = "from rlbench.registry import *; use_plugin('edited/edited'); "
-    code += "print(method_code_hash('edited'))"
-    words, env = ("-c", code), {**ENVIRONMENT, "PYTHONPATH": str(CHECKOUT)}
-    before = python(*words, cwd=tmp_path, env=env)
-    init = folder / "edited" / "__init__.py"
-    init.write_text(init.read_text().replace("adaptive=True", "adaptive=True, min_samples=0"))
-    assert len(before.strip()) == 16
-    assert python(*words, cwd=tmp_path, env=env) != before
-    assert clip.is_dir()
-
-
 def test_the_tests_of_an_installed_package_pass(make, tmp_path):
     folder = make("whole", *ALL)
     env = install(folder, tmp_path / "site")
@@ -95,9 +82,8 @@ def test_the_tests_of_an_installed_package_pass(make, tmp_path):
 @pytest.mark.parametrize(
     ("name", "message"),
     [
-        ("my-method", "'my-method' cannot name a method and its package"),
         ("my-method", "for example my_method"),
-        ("2fast", "for example fast"),
+        ("2fast", "'2fast' cannot name a method and its package"),
         ("class", "'class' cannot name"),
         ("all", "'all' cannot name"),
         ("ours/new", "for example ours_new"),
@@ -105,7 +91,6 @@ def test_the_tests_of_an_installed_package_pass(make, tmp_path):
         ("", "for example my_method"),
         ("ours", "a method 'ours' exists already, in rlbench"),
         ("torch", "a Python module 'torch' is installed already"),
-        ("metrics", "a Python module 'metrics' is installed already"),
         ("taken", "error: taken exists already. Choose another NAME, or a folder with --out"),
     ],
 )
@@ -114,15 +99,6 @@ def test_a_name_that_cannot_be_used_makes_nothing(tmp_path, monkeypatch, name, m
     (tmp_path / "taken").mkdir()
     assert message in rlbench("new", name, code=2)
     assert [path.name for path in tmp_path.rglob("*") if path.name != "cache"] == ["taken"]
-
-
-def test_new_says_what_to_do_next(tmp_path):
-    folder = tmp_path / "elsewhere" / "study"
-    output = rlbench("new", "study", "--out", folder)
-    third = "rlbench run -m study,mean"
-    assert output.endswith(f"cd {folder} && pip install -e . rlbench check study {third}")
-    output = rlbench("new", "learner", "--learned", "--out", tmp_path / "learner")
-    assert output.endswith("rlbench train -m learner --quick")
 
 
 @pytest.mark.parametrize("file", SOURCES, ids=lambda file: str(file.relative_to(TEMPLATES)))

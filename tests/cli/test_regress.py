@@ -43,21 +43,6 @@ def test_a_fall_fails_and_a_part_of_the_results_rewrites_its_part_of_the_baselin
     assert "passed: 2 same" in rlbench("regress", *words)
 
 
-def test_a_shipped_baseline_is_not_rewritten(words, tmp_path):
-    before = find_baseline("mini").read_bytes()
-    for more in ((), ("--baseline", "mini")):
-        output = rlbench("regress", "--results", tmp_path / "r", "--update", *more, code=2)
-        assert "error: --update writes a file and leaves shipped baselines as they are" in output
-    assert find_baseline("mini").read_bytes() == before
-
-
-def test_clips_of_no_preset_have_no_shipped_baseline(words, tmp_path):
-    output = rlbench("regress", "--results", tmp_path / "r", code=2)
-    assert "error: no baseline of these clips ships; available: mini. Write your own" in output
-    output = rlbench("regress", "--results", tmp_path / "r", "--baseline", "mini", code=2)
-    assert "the results are of preset none, the baseline of mini" in output
-
-
 def test_what_fell_is_written_as_junit_and_as_markdown_with_crops(
     words, clip_folder, tmp_path, monkeypatch
 ):

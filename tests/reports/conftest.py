@@ -32,7 +32,8 @@ def psnr(method, scene, spp, clip=0, frame=0):
     return start + slope * math.log2(spp) + SCENES[scene] + deviation
 
 
-def rows(methods=METHODS, device="NVIDIA RTX 2080 Ti", profile="profile paper-2080ti"):
+def rows(methods=METHODS, device="NVIDIA RTX 2080 Ti", profile="profile paper-2080ti", **equal):
+    """The rows with certain values of columns: `metric="psnr", target_spp=1`."""
     return [
         row
         for method in methods
@@ -40,6 +41,7 @@ def rows(methods=METHODS, device="NVIDIA RTX 2080 Ti", profile="profile paper-20
         for spp in BUDGETS
         for clip in range(CLIPS)
         for row in _cell(method, scene, spp, clip, device, profile)
+        if all(getattr(row, name) == value for name, value in equal.items())
     ]
 
 
@@ -73,11 +75,16 @@ def as_published(table):
     return renamed(table, ours="ours/latent")
 
 
+def table_rows(page, title, start=""):
+    """The cells of a Markdown table below a heading, row by row; not bold."""
+    section = page[page.index(f"### {title}") :].split("\n###")[0]
+    lines = [line for line in section.splitlines() if line.startswith(f"| {start}")]
+    return [[cell.strip(" *") for cell in line.split("|")[1:-1]] for line in lines]
+
+
 def cells(page, title, start):
-    """The cells after the first of a line of a Markdown table, below a heading; not bold."""
-    section = page[page.index(f"### {title}") :]
-    line = next(x for x in section.splitlines() if x.startswith(f"| {start}"))
-    return [cell.strip(" *") for cell in line.split("|")[2:-1]]
+    """The cells after the first of the row that starts so."""
+    return table_rows(page, title, start)[0][1:]
 
 
 @pytest.fixture(scope="session")

@@ -59,23 +59,38 @@ def test_a_low_error_wins_where_low_is_better():
     assert decision.candidates[0].spp == 1.0
 
 
-def test_questions_without_an_answer_are_refused_with_what_there_is():
-    with pytest.raises(ReportError, match="times of CPU, 2 threads at 192x192.*cheap at 1 spp"):
-        decide(table(THREE), sample_ms=2.0, frame_ms=2.5)
-    with pytest.raises(ReportError, match="'flip' was requested.*metrics that do: psnr"):
-        decide(table(THREE), 1.0, 20.0, metric="flip")
-    rows = table(THREE)
-    with pytest.raises(ReportError, match="cheap has no time on every scene"):
-        decide(rows[rows["unit"] != "ms"], 1.0, 20.0)
+SURE, TWO = table(THREE), pd.concat([table(THREE), table(THREE, device="H100")])
 
 
-def test_one_of_several_devices_has_to_be_named():
-    rows = pd.concat([table(THREE), table(THREE, device="H100")])
-    with pytest.raises(ReportError, match="times of 2: CPU, 2 threads; H100. Name one"):
-        decide(rows, 2.0, 11.0)
-    with pytest.raises(ReportError, match="device 'A100' was requested"):
-        decide(rows, 2.0, 11.0, device="A100")
-    assert decide(rows, 2.0, 11.0, device="H100").inference_device == "H100"
+@pytest.mark.parametrize(
+    ("rows", "frame_ms", "options", "words"),
+    [
+        (SURE, 2.5, {}, "times of CPU, 2 threads at 192x192.*cheap at 1 spp"),
+        (SURE, 20.0, {"metric": "flip"}, "'flip' was requested.*metrics that do: psnr"),
+        (SURE[SURE["unit"] != "ms"], 20.0, {}, "cheap has no time on every scene"),
+        (TWO, 11.0, {}, "times of 2: CPU, 2 threads; H100. Name one"),
+        (TWO, 11.0, {"device": "A100"}, "device 'A100' was requested"),
+        (
+            doubt(SURE, "slow"),
+            11.0,
+            {"strict": True},
+            "--strict.* slow .*the machine was busy.*--times uncertain",
+        ),
+        (
+            doubt(SURE, *THREE, low=0.1),
+            2.5,
+            {},
+            r"cheap at 1 spp, needs 3 ms \(uncertain: 2.1 ms at least",
+        ),
+    ],
+)
+def test_a_question_without_an_answer_is_refused_with_what_there_is(rows, frame_ms, options, words):
+    with pytest.raises(ReportError, match=words):
+        decide(rows, 2.0, frame_ms, **options)
+
+
+def test_times_are_those_of_the_named_device():
+    assert decide(TWO, 2.0, 11.0, device="H100").inference_device == "H100"
 
 
 def test_the_text_states_device_size_and_what_would_change_the_answer():
@@ -168,21 +183,6 @@ def test_the_uncertain_time_of_a_clips_sample_does_not_matter_to_a_given_one():
     answer = decide(pd.concat([rows, *ends], ignore_index=True), sample_ms=2.0, frame_ms=11.0)
     assert (answer.could_win, answer.notes) == ((), ())
     assert repr(answer) == repr(decide(rows, sample_ms=2.0, frame_ms=11.0))  # nan differs from nan
-
-
-def test_strict_refuses_what_uncertain_times_leave_open():
-    with pytest.raises(
-        ReportError, match="--strict.* slow .*the machine was busy.*--times uncertain"
-    ):
-        decide(doubt(table(THREE), "slow"), sample_ms=2.0, frame_ms=11.0, strict=True)
-
-
-def test_what_may_fit_is_not_said_to_need_more():
-    rows = doubt(table(THREE), *THREE, low=0.1)
-    with pytest.raises(
-        ReportError, match=r"cheap at 1 spp, needs 3 ms \(uncertain: 2.1 ms at least"
-    ):
-        decide(rows, sample_ms=2.0, frame_ms=2.5)
 
 
 def test_equal_results_give_equal_decisions_that_json_can_hold(results):

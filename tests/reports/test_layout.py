@@ -13,7 +13,6 @@ from matplotlib.figure import Figure
 from scipy.optimize import isotonic_regression
 
 from reports.layout.curve_labels import label_curves, label_width, longest_rise, spread_labels
-from reports.layout.files import slug
 from reports.layout.latex import MAX_ROWS, PREAMBLE, to_latex
 from reports.layout.page import MAX_LINES, Section, write_page
 from reports.layout.style import FAMILY_COLOURS, line_styles
@@ -22,14 +21,8 @@ from rlbench import registry
 
 BUDGETS = tuple(f"{spp} spp" for spp in range(6))
 CELLS = (Bold("21.50"), "9.25 [-1.00, 0.10] not resolved", "-")
-WIDE = Table(
-    "t",
-    "c",
-    ("method", *BUDGETS),
-    tuple((f"accumulate/{i}", *[CELLS[1]] * 6) for i in range(MAX_ROWS + 1)),
-)
-
-
+LINES = tuple((f"accumulate/{i}", *[CELLS[1]] * 6) for i in range(MAX_ROWS + 1))
+WIDE = Table("t", "c", ("method", *BUDGETS), LINES)
 HOSTILE = "CPU\n\\input{x} $a$ | <script> <!-- [l](http://x) ^^M"
 
 
@@ -43,14 +36,10 @@ def test_names_of_strangers_stay_text_in_every_format():
     assert "<script" not in page
     assert "<!--" not in page
     assert "](" not in page
-
-
-def test_special_characters_are_escaped():
-    text = to_latex(Table("50 % of a_b", "x & y", ("m", "v"), (("a_b", Bold("1")),)))
-    assert r"\caption{50 \% of a\_b.}" in text
-    assert r"\footnotesize x \& y}" in text
-    assert r"a\_b & \bfseries 1 \\" in text
-    assert "| a\\|b | **1** |" in to_markdown(Table("t", "c", ("m", "v"), (("a|b", Bold("1")),)))
+    table = Table("50 % of a_b", "x & y", ("m", "v"), (("a_b|c", Bold("1")),))
+    assert r"\caption{50 \% of a\_b.}" in to_latex(table)
+    assert r"a\_b|c & \bfseries 1 \\" in to_latex(table)
+    assert "| a_b\\|c | **1** |" in to_markdown(table)
 
 
 def test_numbers_are_aligned_at_the_decimal_point_and_their_intervals_beside_them():
@@ -58,12 +47,6 @@ def test_numbers_are_aligned_at_the_decimal_point_and_their_intervals_beside_the
     assert r"\begin{tabular}{lS[table-format=2.2]@{\,}l}" in text
     assert r"m & \multicolumn{2}{c}{1 spp} \\" in text
     assert r"a & 9.25 & {\scriptsize [-1.00, 0.10] not resolved} \\" in text
-
-
-def test_what_is_no_interval_of_a_number_has_a_heading_of_its_own():
-    text = to_latex(Table("t", "+-1", ("m", "1 spp"), (("a", CELLS[1]),), beside="difference"))
-    assert r"m & {1 spp} & {\scriptsize difference} \\" in text
-    assert r"$\pm$1" in text
 
 
 def test_a_wide_table_is_split_by_columns_and_a_long_one_by_rows():
@@ -162,7 +145,3 @@ def test_the_width_of_a_label_is_enough_for_its_drawn_text_and_little_more(name)
 )
 def test_a_line_joins_the_longest_rise(times, expected):
     assert longest_rise(times) == expected
-
-
-def test_a_slug_has_no_special_characters():
-    assert slug("NVIDIA H100 80GB/HBM3 (x2)") == "nvidia-h100-80gb-hbm3-x2"

@@ -11,7 +11,7 @@ from matplotlib.image import imread
 
 from reports import memory, stress_matrix
 from reports.published import published
-from reports.stress_matrix import FILLS, INK, MARKS, Cell, draw_grid
+from reports.stress_matrix import FILLS, INK, MARKS, Cell
 from rlbench.checks.stress.run import VERDICT_NAMES
 from tests.reports.conftest import cells
 
@@ -57,12 +57,6 @@ def test_the_published_account_of_memory_adds_up():
     added = paper.state_channels + paper.sample_channels + paper.guide_channels
     assert 4 * (added - paper.earlier_channels) == paper.bytes_per_pixel
     assert paper.bytes_per_pixel * paper.size**2 / 1e6 == pytest.approx(paper.megabytes, abs=0.5)
-
-
-def test_the_memory_page_lies_beside_the_table_it_is_made_from(tmp_path):
-    (tmp_path / "speed.csv").write_bytes((RESULTS / "speed.csv").read_bytes())
-    memory.main(tmp_path)
-    assert "ours/latent" in (tmp_path / "memory.md").read_text()
 
 
 STRESS = [  # method, section, test, verdict, figure, unit, good, fair, found, remedy
@@ -117,10 +111,3 @@ def test_verdicts_differ_in_grey_and_the_mark_stands_out():
     levels = sorted(brightness(FILLS[name]) for name in ("passed", "degraded", "failed"))
     assert min(b - a for a, b in zip(levels, levels[1:], strict=False)) > 0.1
     assert all(abs(brightness(FILLS[n]) - brightness(INK[n])) > 0.45 for n in FILLS)
-
-
-def test_a_picture_of_28_methods_is_high_enough_for_their_names(tmp_path):
-    names = [f"method-{i}" for i in range(28)]
-    marked = {(name, "section"): Cell("passed", "36/36") for name in names}
-    draw_grid(marked, names, ["section"], "Title", tmp_path / "grid.png")
-    assert imread(tmp_path / "grid.png").shape[0] > 28 * 25  # pixels

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 from dataclasses import replace
 
 import numpy as np
@@ -59,11 +58,6 @@ def test_raw_samples_win_no_cell():
     assert set(cells["method"]) == set(THREE)
 
 
-def test_a_single_clip_separates_nothing():
-    cells = winners.map_winners(curves_of(Scores(table(THREE, scenes=("city",)))))
-    assert cells.is_open[cells.runner_up >= 0].all()
-
-
 def test_a_longer_deadline_changes_nothing_beyond_the_dotted_line(three):
     inside = three.is_exhausted
     assert inside.any()
@@ -82,14 +76,6 @@ def test_colours_are_those_of_the_pareto_plot():
     assert len(set(colours.values())) == len(methods)
 
 
-def test_regions_are_named_in_place_and_in_the_key(three):
-    figure = draw_winner_map(three, "caption", 2.0)
-    texts = {text.get_text() for text in figure.axes[0].texts}
-    assert {"slow", "no denoiser fits", "60 Hz", "cost in these results"} <= texts
-    key = {text.get_text() for text in figure.legends[0].get_texts()}
-    assert set(THREE) <= key
-
-
 def test_small_regions_share_one_colour(three):
     """Of twelve winners, eight have a name, and of three the one with 1 % of the map has none."""
     for areas, named in (([8.0] * 12, 8), ([60, 39, 1], 2)):
@@ -100,10 +86,3 @@ def test_small_regions_share_one_colour(three):
         key = [text.get_text() for text in draw_winner_map(shown, "", 2.0).legends[0].get_texts()]
         assert len(set(key) & set(methods)) == named
         assert f"{len(areas) - named} others" in key
-
-
-def test_the_caption_names_device_and_size(tmp_path, monkeypatch):
-    monkeypatch.setitem(style.RC, "svg.fonttype", "none")  # letters, not their outlines
-    svg = winners.write(table(THREE), tmp_path)[2].read_text()
-    caption = " ".join(re.sub("<[^>]+>", " ", svg).split())  # its lines are elements of their own
-    assert "CPU, 2 threads at 192x192" in caption

@@ -127,9 +127,7 @@ def test_ranks_of_all_methods_are_those_of_pairs(results):
 
 
 def test_a_single_clip_has_no_interval_and_no_verdict():
-    ranks = rank_methods(
-        Scores(to_dataframe([r for r in rows(["ours", "ntas"]) if r.clip == "city-0"]))
-    )
+    ranks = rank_methods(Scores(to_dataframe(rows(["ours", "ntas"], clip="city-0"))))
     assert ranks["low"].isna().all()
     assert (ranks["verdict"] == "").all()
 
@@ -149,7 +147,7 @@ def test_differences_to_a_base_are_those_of_the_formulas(results):
 
 
 def test_the_interval_of_one_scene_is_over_its_clips():
-    city = to_dataframe([r for r in rows(["ours", "ntas"]) if r.scene == "city"])
+    city = to_dataframe(rows(["ours", "ntas"], scene="city"))
     gap = subtract_base(Scores(city), "ours", ["ntas"]).set_index("target_spp").loc[1.0]
     half = 12.7062 * 0.06  # Student's t of its two clips, which have -1.36 and -1.24
     assert (gap["low"], gap["high"]) == pytest.approx((-1.3 - half, -1.3 + half), rel=1e-4)
@@ -157,7 +155,7 @@ def test_the_interval_of_one_scene_is_over_its_clips():
 
 def test_scores_of_one_seed_are_paired_and_others_left_out():
     """The seeds differ by 10 dB, the variants by 1 dB: every pair of one seed differs by 1 dB."""
-    base = [r for r in rows(["ours"]) if r.metric == "psnr" and r.target_spp == 1]
+    base = rows(["ours"], metric="psnr", target_spp=1)
     seeded = [replace(r, seed=s, value=10.0 * s) for r in base for s in (0, 1)]
     more = [replace(r, method="ours/A9", value=r.value + 1) for r in seeded]
     alone = [replace(r, seed=2, value=99.0) for r in more if r.seed == 0]

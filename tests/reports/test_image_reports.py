@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import importlib
 from itertools import product
+from typing import NamedTuple
 
 import numpy as np
 import pandas as pd
@@ -12,12 +13,37 @@ import torch
 
 from reports.analysis.images import decibels, encode_srgb, squared_error
 from reports.zooms import choose_crops, draw_zooms, find_zoom
-from rlbench.benchmark.results import MissingRowsError
+from rlbench.benchmark.results import MissingRowsError, read
+from rlbench.benchmark.shown_clips import ShownClip
+from rlbench.cli.selection import find_images
 from rlbench.ops import color
+from tests.reports.kept_run import run_with_images
 from tests.reports.test_every_report import PROJECT
 
 PAIR, ADAPTIVE = ("eaw", "mean"), "accumulate/contrast"
 REPORTS = PROJECT["entry-points"]["rlbench.image_reports"]
+
+
+class Kept(NamedTuple):
+    """The rows of the run, and its clips with their images at 1 spp."""
+
+    rows: pd.DataFrame
+    clips: list[ShownClip]
+
+    def psnr(self, method: str, clip: str, frame: int) -> float:
+        """The score that the run stored."""
+        rows = self.rows[self.rows["metric"] == "psnr"].set_index(["method", "clip", "frame"])
+        return rows.loc[(method, clip, frame), "value"].item()
+
+
+@pytest.fixture(scope="module")
+def kept(tmp_path_factory) -> Kept:
+    folder = tmp_path_factory.mktemp("kept")
+    run_with_images(folder, (ADAPTIVE, *PAIR), [1], cut=2, times="none")
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv("RLBENCH_CACHE", str(folder / "cache"))
+        rows = read(folder / "results")
+        return Kept(rows, list(find_images(folder / "results", rows, [folder / "clips"])[0]))
 
 
 def write(name, kept, folder, methods=PAIR):
