@@ -251,11 +251,18 @@ def draw(density: Tensor, total_spp: float, pool: StoredPool | None = None) -> S
 
 
 def draw_after_pilot(
-    pool: StoredPool, density: Tensor, total_spp: float, pilot_spp: float = 1.0, least: int = 0
+    pool: StoredPool,
+    density: Tensor,
+    total_spp: float,
+    pilot_spp: float = 1.0,
+    least: int = 0,
+    most: int | None = None,
+    pilot_density: Tensor | None = None,
 ) -> tuple[Samples, Samples]:
-    """The pilot, and all samples with it; density and minimum apply to those after it."""
-    pilot = draw(noise(0, len(pool.radiance)), pilot_spp, pool)
-    return pilot, draw_samples(pool, pilot, density, total_spp, least, discard_pilot=True)
+    """The pilot, and all samples with it; density and limits apply to those after it."""
+    first = noise(0, len(pool.radiance)) if pilot_density is None else pilot_density
+    pilot = draw(first, pilot_spp, pool)
+    return pilot, draw_samples(pool, pilot, density, total_spp, least, most, discard_pilot=True)
 
 
 @pytest.mark.parametrize("spp", [0.0, 0.01, 0.5, 1.0, 2.3, 8.0])
@@ -326,6 +333,23 @@ def test_samples_after_a_discarded_pilot_follow_the_density_alone():
     assert ((samples.since(pilot).counts - share * density).abs() < 1).all()
 
 
-def test_the_minimum_applies_to_samples_after_a_discarded_pilot():
-    pilot, samples = draw_after_pilot(random_pool(), noise(1) ** 8, 4.0, least=1)
-    assert int(samples.since(pilot).counts.min()) == 1
+def test_limits_apply_to_samples_after_a_discarded_pilot():
+    pilot, samples = draw_after_pilot(random_pool(), noise(1) ** 8, 4.0, least=1, most=5)
+    later = samples.since(pilot).counts
+    assert (int(later.min()), int(later.max())) == (1, 5)
+
+
+def test_samples_after_a_discarded_pilot_are_rounded_up_in_other_pixels():
+    even = torch.ones(1, 1, 6, 7)
+    pilot, samples = draw_after_pilot(random_pool(), even, 1.0, 0.5, pilot_density=even)
+    assert not torch.equal(samples.since(pilot).counts, pilot.counts)
+
+
+def test_an_even_density_is_not_even_where_the_pilot_used_up_the_pool():
+    left = torch.ones(1, 1, 6, 7)
+    left[..., 3:] = 1e-6
+    even = torch.ones(1, 1, 6, 7)
+    pilot, samples = draw_after_pilot(random_pool(), even, 5.0, 3.0, pilot_density=left)
+    assert int(pilot.counts.max()) == 7  # one is left, and two a pixel are to be drawn
+    assert int(samples.counts.max()) <= 8
+    assert int(samples.counts.sum()) == 5 * 42

@@ -201,6 +201,13 @@ def test_gradients_are_finite_beside_empty_slots_and_windows_without_samples():
     assert (gradient[0, 0, :, 3, 4] != 0).all()
 
 
+def test_samples_too_far_apart_to_compare_vouch_for_themselves():
+    radiance, counts = torch.zeros(1, 1, 3, 1, 99), torch.zeros(1, 1, 1, 99, dtype=torch.int64)
+    for x, light in ((0, 1000.0), (98, 2000.0)):
+        radiance[..., x], counts[..., x] = light, 1
+    assert torch.equal(limit_fireflies(radiance, counts), radiance)
+
+
 def test_a_light_among_black_pixels_of_a_bright_image_is_no_outlier():
     """Nothing around it vouches for it, but the image's average does: 50 is below 64 times that."""
     radiance = torch.ones(1, 1, 3, 32, 32)

@@ -66,6 +66,14 @@ def test_bilinear_reprojection_equals_kornia():
     assert difference.max() < 1e-5  # float32 grid coordinates
 
 
+@pytest.mark.parametrize("h", [6, 7])  # of two strips, and of one
+def test_several_threads_warp_one_image_as_one_thread_does(monkeypatch, h):
+    image, moved = history()[:1, :, :h], motion()[:1, :, :h]
+    expected = reproject(image, moved)[0]
+    monkeypatch.setattr(torch, "get_num_threads", lambda: 2)
+    torch.testing.assert_close(reproject(image, moved)[0], expected, rtol=0, atol=1e-6)
+
+
 def test_bicubic_reprojection_equals_a_loop_with_the_kernel_of_keys_and_clamping():
     def kernel(t: float) -> float:  # Keys 1981, equation 15, a of -0.75
         a, t = -0.75, abs(t)
