@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import shutil
 from dataclasses import replace
 from pathlib import Path
 
@@ -82,15 +83,6 @@ def test_half_floats_change_psnr_by_less_than_a_hundredth_of_a_decibel(target_db
     assert abs(plain - halved) < 0.01
 
 
-def test_a_cell_with_scores_but_without_images_is_run_again_and_keeps_its_scores(plan, tmp_path):
-    measure_scores(plan, tmp_path / "r")
-    before = scores(tmp_path / "r")
-    assert keep(plan, tmp_path / "r") == RunSummary(measured=1)
-    assert scores(tmp_path / "r") == before
-    assert kept(tmp_path / "r")
-    assert keep(plan, tmp_path / "r") == RunSummary(cached=1)
-
-
 def test_an_error_while_images_are_made_leaves_the_scores(clip_folder, tmp_path, caplog):
     needed, plan = use_method_that_needs_a_file(tmp_path), run_plan(clip_folder, "odd")
     measure_scores(plan, tmp_path / "r")
@@ -104,13 +96,15 @@ def test_an_error_while_images_are_made_leaves_the_scores(clip_folder, tmp_path,
     assert keep(plan, tmp_path / "r") == RunSummary(measured=1)
 
 
-@pytest.mark.parametrize("name", ["0001.exr", "cell.json"])
-def test_a_cell_that_lacks_a_file_of_its_images_is_run_again(plan, tmp_path, name):
+@pytest.mark.parametrize("lost", ["images", "images/*/0001.exr", "images/*/cell.json"])
+def test_a_cell_without_all_of_its_images_is_run_again_and_keeps_its_scores(plan, tmp_path, lost):
     keep(plan, tmp_path / "r")
-    before = kept(tmp_path / "r")
-    next((tmp_path / "r" / "images").glob(f"*/{name}")).unlink()
+    before, images = scores(tmp_path / "r"), kept(tmp_path / "r")
+    (path,) = (tmp_path / "r").glob(lost)
+    shutil.rmtree(path) if path.is_dir() else path.unlink()
     assert keep(plan, tmp_path / "r") == RunSummary(measured=1)
-    assert kept(tmp_path / "r") == before
+    assert (scores(tmp_path / "r"), kept(tmp_path / "r")) == (before, images)
+    assert keep(plan, tmp_path / "r") == RunSummary(cached=1)
 
 
 def test_a_run_without_the_option_and_new_times_leave_images_as_they_are(plan, tmp_path):
@@ -139,29 +133,24 @@ def test_rows_and_images_of_older_code_are_removed(clip_folder, tmp_path, keeps)
     assert len(list((tmp_path / "r" / "images").iterdir())) == keeps
 
 
-def test_a_run_that_is_killed_between_images_and_rows_leaves_an_unfinished_cell(
-    plan, tmp_path, monkeypatch
+@pytest.mark.parametrize(
+    ("module", "step"),
+    [(table, "write_cell"), (paths, "publish_folder")],  # after images have their name, and before
+)
+def test_a_run_that_is_killed_while_it_writes_leaves_an_unfinished_cell(
+    plan, tmp_path, monkeypatch, module, step
 ):
     def kill(*args: object) -> None:
         raise KeyboardInterrupt
 
-    monkeypatch.setattr(table, "write_cell", kill)
+    monkeypatch.setattr(module, step, kill)
     with pytest.raises(KeyboardInterrupt):
         keep(plan, tmp_path / "r")
     assert not table.cells(tmp_path / "r")
+    assert bool(kept(tmp_path / "r")) == (step == "write_cell")
     monkeypatch.undo()
     assert keep(plan, tmp_path / "r") == RunSummary(measured=1)
     assert len(list((tmp_path / "r" / "images").iterdir())) == 1
-
-
-def test_images_have_their_name_only_when_all_are_written(plan, tmp_path, monkeypatch):
-    def kill(unfinished: Path, folder: Path) -> None:
-        raise paths.WriteError("the disk is full")
-
-    monkeypatch.setattr(paths, "publish_folder", kill)
-    with pytest.raises(paths.WriteError):
-        keep(plan, tmp_path / "r")
-    assert not kept(tmp_path / "r")
 
 
 def test_a_cell_that_cannot_run_has_no_images_and_is_not_run_for_them(clip_folder, tmp_path):

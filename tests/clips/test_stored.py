@@ -128,7 +128,9 @@ def test_half_references_are_decoded_when_they_are_first_used(folder):
 
 
 def test_few_samples_are_the_first_of_many_and_many_are_those_stored(folder):
-    few, many = (open_clip(folder, max_samples=s).frame(0).pool for s in (2, 99))
+    clips = [open_clip(folder, max_samples=s) for s in (2, 99)]
+    assert [clip.max_samples for clip in clips] == [2, STORED]
+    few, many = (clip.frame(0).pool for clip in clips)
     assert torch.equal(few.radiance, many.radiance[:, :2])
     assert (few.max_samples, many.max_samples) == (2, STORED)
 
