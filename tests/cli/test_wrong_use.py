@@ -66,6 +66,7 @@ MESSAGES = {
     "TRAIN --validate unseen": "--validate unseen: this is a reported test set",
     "TRAIN --clips clips --mix 0.3": "--mix is the share of crops from --clips",
     "TRAIN --mix 1.5 --preset train": "'1.5' is not a share. Give a number between 0 and 1",
+    "TRAIN --keep first": "'first' is none of last, best and best:SET",
     "TRAIN --clips clips --holdout hall": "--holdout trains on test scenes of a preset, and",
     "TRAIN --quick --seeds 3": "--quick trains on clips of its own, and --seeds chooses others",
     "TRAIN --status": "error: --status is of a queue",
