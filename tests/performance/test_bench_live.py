@@ -36,7 +36,7 @@ def tracer(request):
 @pytest.fixture
 def pool(tracer):
     tracer.set_time(0.0)
-    return LivePool(tracer, 0.0, tuple(range(8)), 1, 1.0, np.float16, torch.device("cpu"))
+    return LivePool(tracer, 0.0, tuple(range(8)), 1, 1.0, torch.float16, torch.device("cpu"))
 
 
 @pytest.fixture
