@@ -50,6 +50,7 @@ OIDN = {
     "a frame is missing": (drop("walk_0001*"), "'walk': frames 0 to 2 .* missing: 1;.*--frames"),
     "no reference": (drop("walk_0001*1024spp*"), "frame 1 has no reference.*it has: walk_0001_see"),
     "no 1-spp image": (rename("_0001spp", "_4spp"), "frame 0 has no image of 1 spp, and a mean"),
+    "only ldr": (rename(".hdr", ".ldr"), "holds nothing of layout 'oidn': expected files such as"),
     "no albedo in one frame": (drop("walk_0001*.alb.exr"), "'walk', albedo: .* missing: 1"),
     "another size": (
         lambda f: write_image(f / ONE, np.zeros((H, W + 1, 3), np.float32)),
