@@ -174,6 +174,17 @@ def test_new_times_leave_scores_bit_identical_and_score_no_frame(
     assert measure(plan, tmp_path / "r") == RunSummary(cached=4)
 
 
+def test_only_uncertain_times_are_measured_again(clip_folder, tmp_path):
+    plan, folder = run_plan(clip_folder, "mean", "eaw"), tmp_path / "r"
+    measure(plan, folder)
+    for cell in table.cells(folder):
+        note = f"{table.UNCERTAIN} busy" if cell.key.method == "mean" else ""
+        rows = [row for row in table.read_cell_rows(folder, cell) if math.isfinite(row.value)]
+        noted = [replace(row, note=note if row.unit == "ms" else row.note) for row in rows]
+        table.write_cell(folder, cell, noted)
+    assert measure(plan, folder, times="uncertain") == RunSummary(timed=1, cached=1)
+
+
 def test_a_run_without_times_leaves_them_to_a_later_run(clip_folder, tmp_path, monkeypatch):
     plan = run_plan(clip_folder, "mean", "eaw", spp=(0.5, 2.0))
     with monkeypatch.context() as patched:
