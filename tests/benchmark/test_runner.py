@@ -18,10 +18,11 @@ from rlbench.benchmark import results as table
 from rlbench.benchmark import runner
 from rlbench.benchmark.cell_key import CellsError
 from rlbench.benchmark.clip_sources import StoredSource, max_samples_needed
-from rlbench.benchmark.run_plan import RunPlan, row_name
+from rlbench.benchmark.run_plan import CellLoader, RunPlan, row_name
 from rlbench.benchmark.runner import RunSummary, measure, read_cells
 from rlbench.clips.stored import open_clip
 from rlbench.system import code_hash
+from rlbench.system.paths import WriteError
 from tests.conftest import write_noise, write_plugin
 from tests.measuring import measure_scores
 
@@ -300,6 +301,20 @@ def test_a_cell_that_failed_is_tried_again(clip_folder, tmp_path):
     needed.touch()
     assert measure_scores(plan, tmp_path / "r") == RunSummary(measured=1)
     assert len(table.cells(tmp_path / "r")) == 1
+
+
+def test_a_full_disk_ends_the_run_and_leaves_what_is_measured(tmp_path, monkeypatch):
+    clips, read = [write_noise(tmp_path / name) for name in "abc"], CellLoader.clip
+
+    def read_until_full(loader, cell, *arguments):
+        if cell.header.name != "a":
+            raise WriteError("no space left")
+        return read(loader, cell, *arguments)
+
+    monkeypatch.setattr(CellLoader, "clip", read_until_full)
+    with pytest.raises(WriteError, match="no space left"):
+        measure_scores(RunPlan(("mean",), tuple(map(StoredSource, clips)), (1.0,)), tmp_path / "r")
+    assert [cell.key.clip for cell in table.cells(tmp_path / "r")] == ["a"]
 
 
 def test_two_clips_of_one_name_are_refused(tmp_path):
