@@ -115,6 +115,8 @@ def test_a_report_is_written_from_a_dataframe(clips, tmp_path):
 @pytest.mark.parametrize(
     ("options", "message"),
     [
+        ({"scenes": "nowhere"}, "no scene nowhere; available: noise"),
+        ({"device": "abacus"}, "device abacus cannot be used"),
         ({"takes": "all"}, "takes= applies to preset scenes only. With clips=, select"),
         ({"pool": "frozen"}, "no pool 'frozen'; available: stored, live"),
         ({"spp": ["1", "0"]}, "spp=['1', '0']: give numbers"),
