@@ -59,6 +59,9 @@ LEAST_SCORE = {  # after 200 steps
 }
 
 
+BLOCKS = BlockPolicyGradient()
+
+
 class FreeMap(nn.Module):
     """A sampler without a network: one action a pixel, for any observation."""
 
@@ -356,6 +359,28 @@ def test_the_policy_gradient_is_that_of_the_error_at_a_fixed_budget(name):
     gradient = mean.grad - torch.autograd.grad(mean.mean().square(), mean)[0]  # less the drift
     similarity = F.cosine_similarity(gradient.flatten(), true.flatten(), dim=0)
     assert similarity > 0.998  # noise of the draws: 0.001; with the other coupling 0.95 and less
+
+
+def random_batch(mean: Tensor, policy: BlockPolicyGradient) -> RolloutBatch:
+    """Actions around the mean, with random errors and counts, that multiply the density."""
+    generator = torch.Generator().manual_seed(0)
+    actions = policy.antithetic_actions(mean, (0, 0), generator)
+    errors, counts = (torch.rand(actions.shape, generator=generator) for _ in range(2))
+    return RolloutBatch(actions, errors, counts, (0, 0), multiplicative=True)
+
+
+def test_where_no_action_is_better_the_mean_action_is_pulled_to_the_middle():
+    mean, policy = torch.tensor([0.5, -0.25]).view(2, 1, 1, 1).expand(-1, 1, 16, 16), BLOCKS
+    batch = random_batch(mean, policy)._replace(errors=torch.ones(4, 2, 1, 16, 16))
+    loss = policy.loss(mean, batch._replace(counts=batch.errors))
+    assert float(loss) == pytest.approx((0.5**2 + 0.25**2) / 2)
+
+
+def test_no_gradient_changes_all_actions_of_an_image_alike():
+    mean = torch.zeros(2, 1, 16, 16, requires_grad=True)  # without drift
+    BLOCKS.loss(mean, random_batch(mean, BLOCKS)).backward()
+    common, total = mean.grad.sum((1, 2, 3)).abs(), mean.grad.abs().sum((1, 2, 3))
+    assert (common < 1e-5 * total).all()
 
 
 def test_blocks_of_noisy_pixels_get_more_samples_where_single_pixels_say_nothing():

@@ -184,6 +184,14 @@ def test_the_frame_after_a_cut_is_found_by_its_surfaces_alone_also_with_noisy_bu
     assert found == [frame == cut for frame in (1, 2, 3)]
 
 
+@pytest.mark.parametrize(("columns", "expected"), [(2, False), (3, True)])
+def test_a_cut_changes_more_than_a_third_of_the_blocks(columns, expected):
+    features = torch.zeros(1, 7, 48, 7 * 8)
+    other = features.clone()
+    other[:, 3, :, : columns * 8] = 1.0
+    assert bool(is_cut(features, other, torch.ones(1, 1, 48, 56, dtype=torch.bool))) == expected
+
+
 def test_an_image_without_any_valid_history_is_no_cut_and_each_image_of_a_batch_has_its_own():
     features = torch.rand(3, 7, 20, 20, generator=torch.Generator().manual_seed(0))
     other = features.clone()
