@@ -70,7 +70,12 @@ BLEND = "a blend of diffuse and roughconductor"
             (0.9, 0.8, 0.7),
             "roughconductor",
         ),
-        ("phong", [("float", "exponent", "200"), (*SPECULAR, "0")], (0.5, 0.5, 0.5), BLEND),
+        (
+            "phong",
+            [("float", "exponent", "200"), ("spectrum", SPECULAR[1], "0")],
+            (0.5, 0.5, 0.5),
+            BLEND,
+        ),
     ],
 )
 def test_an_old_glossy_bsdf_keeps_the_sum_of_its_reflectances(
@@ -223,7 +228,10 @@ def test_missing_files_are_left_out_counted_and_recorded(room):
     assert messages[0] == "shapes left out, because files are missing: 1 (gone.obj)"
 
 
-TEXTURE = '<texture name="{}" type="bitmap"><string name="filename" value="gone.png"/></texture>'
+TEXTURE = (
+    '<texture name="{}" type="bitmap"><string name="filename" value="gone.png"/><string '
+    'name="filterType" value="trilinear"/></texture>'
+)
 WHITE = '<bsdf type="diffuse"><rgb name="reflectance" value="0.8"/></bsdf>'
 
 
