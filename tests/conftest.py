@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
+from hypothesis import HealthCheck, settings
 
 from rlbench import registry
 from rlbench.apps.render.mitsuba.variant import wheel_files
@@ -24,6 +25,10 @@ for library in wheel_files():
 
 
 CACHES = itertools.count()
+
+# a busy machine is no failure
+settings.register_profile("patient", deadline=None, suppress_health_check=[HealthCheck.too_slow])
+settings.load_profile("patient")
 
 
 def pytest_collection_finish() -> None:

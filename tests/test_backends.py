@@ -119,7 +119,7 @@ def test_outputs_are_not_overwritten_by_the_next_call_and_sizes_may_change():
         forward = backends.OpenVinoForward(network)
         found = [forward(image) for image in images]
         for ours, torchs in zip(found, expected, strict=True):
-            torch.testing.assert_close(ours, torchs, rtol=1e-4, atol=1e-6)
+            torch.testing.assert_close(ours, torchs, rtol=1e-4, atol=1e-5)  # another order of sums
         levels = backends.OpenVinoForward(features)(images[0])
         for ours, torchs in zip(levels, features(images[0]), strict=True):
             torch.testing.assert_close(ours, torchs, rtol=1e-4, atol=1e-6)

@@ -58,7 +58,6 @@ def problems(draw):
 # For every density and feasible budget
 
 
-@settings(deadline=None)
 @given(problems())
 @example(([0.0, 1.0, 2.0**65], 4, [0, 1, 0], 2))  # a contrast beyond the search's doublings
 def test_the_sum_is_exact_and_counts_are_within_the_limits(problem):
@@ -68,7 +67,6 @@ def test_the_sum_is_exact_and_counts_are_within_the_limits(problem):
     assert all(a <= n <= high for a, n in zip(low, counts, strict=True))
 
 
-@settings(deadline=None)
 @given(problems(), st.randoms(use_true_random=False))
 def test_shuffling_pixels_shuffles_counts_up_to_rounding(problem, draw):
     density, total, low, high = problem
@@ -80,7 +78,6 @@ def test_shuffling_pixels_shuffles_counts_up_to_rounding(problem, draw):
     assert all(abs(shuffled[at] - counts[i]) <= 1 for at, i in enumerate(order))
 
 
-@settings(deadline=None)
 @given(problems(), st.floats(2**-20, 2**20))
 def test_the_scale_of_the_density_does_not_matter(problem, scale):
     density, total, low, high = problem

@@ -8,7 +8,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from rlbench.apps.render.jobs.job import Job
@@ -31,7 +31,6 @@ def test_a_header_comes_back(tmp_path):
         assert has_missing == bool(each.missing_files)
 
 
-@settings(deadline=None)
 @given(text=st.text(st.characters(exclude_categories=["Cs"])))
 def test_any_text_survives_in_toml(text, tmp_path_factory):
     folder = tmp_path_factory.mktemp("toml")

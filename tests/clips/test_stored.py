@@ -11,7 +11,7 @@ import numpy as np
 import OpenEXR
 import pytest
 import torch
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from rlbench.clips import decode_cache
@@ -135,7 +135,6 @@ def test_few_samples_are_the_first_of_many_and_many_are_those_stored(folder):
     assert (few.max_samples, many.max_samples) == (2, STORED)
 
 
-@settings(deadline=None)
 @given(seed=st.integers(0, 2**40), index=st.integers(0, 10**6), stored=st.integers(1, 64))
 def test_every_stored_sample_is_drawn_once(seed, index, stored):
     assert sorted(sample_order(seed, "clip", index, stored)[0]) == list(range(stored))
