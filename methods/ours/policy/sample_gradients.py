@@ -14,6 +14,8 @@ from methods.ours.policy.reinforce import BlockReinforce
 from rlbench.frames import Frame, Samples
 from rlbench.training.surrogate_gradient import SampleGradient
 
+FREE_MEAN = 0.5  # largest mean action of an image, in [-1, 1], that nothing pulls back
+
 
 def kuznetsov_gradient_per_sample(
     samples: Samples, relaxed_counts: Float[Tensor, "n 1 h w"], frame: Frame
@@ -57,14 +59,16 @@ class SurrogateLearner(SamplerLearner):
     min_samples = 1  # a pixel without samples has no gradient
 
     def loss(self, problem: AllocationProblem, generator: torch.Generator) -> Float[Tensor, ""]:
-        """The image's loss, and the square of the mean action.
+        """The image's loss, which grows where the mean action leaves the middle half of its range.
 
         The gradient includes the normalisation to the budget; pixels at a bound get none. The
-        budget cancels what all actions have in common, so without the square it drifts to where
-        tanh is flat: in the paper's recipe all densities became zero after 3,000 crops.
+        budget cancels what all actions have in common, so they would drift to where tanh is flat:
+        in the paper's recipe all densities became zero after 3,000 crops. A pull that acts in the
+        middle too, or does not scale with the loss, outweighs the gradient of the image.
         """
-        drift = problem.act().mean((1, 2, 3)).square().mean()
-        return problem.surrogate_loss(self.sample_gradient) + drift
+        loss = problem.surrogate_loss(self.sample_gradient)
+        excess = (problem.act().mean((1, 2, 3)).abs() - FREE_MEAN).clamp_min(0)
+        return loss + loss.detach() * excess.square().mean()
 
 
 @dataclass
