@@ -119,7 +119,7 @@ def exact_shares(density: list[float], total: int, low: list[int], high: int) ->
     return shares(k)
 
 
-@settings(max_examples=200, deadline=None)
+@settings(max_examples=200)
 @given(problems())
 def test_counts_are_exact_shares_rounded_down_or_up(problem):
     density, total, low, high = problem

@@ -43,7 +43,7 @@ def test_a_frame_equals_plain_loops(config):
 
 
 @given(seed=st.integers(0, 9), light=st.floats(0, 100))
-@settings(max_examples=5, deadline=None)
+@settings(max_examples=5)
 def test_constant_irradiance_is_unchanged(seed, light):
     """For any texture and geometry."""
     gbuffer = frame(seed).gbuffer

@@ -110,7 +110,7 @@ def random(*shape: int, seed: int = 0) -> torch.Tensor:
     return torch.randn(shape, generator=generator, dtype=torch.float64)
 
 
-@settings(max_examples=20, deadline=None)
+@settings(max_examples=20)
 @given(frames=st.integers(1, 6), gamma=st.floats(0, 1), seed=st.integers(0, 99))
 def test_without_motion_the_return_is_the_discounted_sum(frames, gamma, seed):
     rewards = random(frames, 2, 1, 1, 4, 5, seed=seed)

@@ -85,7 +85,7 @@ def divide_rows(
     return result
 
 
-@settings(max_examples=200, deadline=None)
+@settings(max_examples=200)
 @given(problems())
 def test_the_counts_equal_those_of_a_recursive_twin_in_exact_fractions(problem):
     shares, total, seed = problem
@@ -93,7 +93,7 @@ def test_the_counts_equal_those_of_a_recursive_twin_in_exact_fractions(problem):
     assert round_to_total(shares[None], total, [seed])[0].tolist() == divide(exact, total, seed, 0)
 
 
-@settings(max_examples=200, deadline=None)
+@settings(max_examples=200)
 @given(problems())
 def test_counts_sum_to_the_total_and_are_shares_rounded_down_or_up(problem):
     shares, total, seed = problem

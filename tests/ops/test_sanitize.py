@@ -59,7 +59,7 @@ def is_valid(name: str, buffer: torch.Tensor) -> bool:
 
 
 @pytest.mark.parametrize("name", list(RULES))
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 @given(data=st.data())
 def test_whatever_a_renderer_writes_becomes_valid(name, data):
     h, w = data.draw(st.integers(1, 4)), data.draw(st.integers(1, 4))

@@ -36,7 +36,7 @@ def test_a_tile_is_changed_if_a_dilated_change_touches_it(h, w, radius):
 
 
 @given(st.integers(0, 10**6), st.sampled_from(SIZES), st.sampled_from([0, 5, 17]))
-@settings(max_examples=30, deadline=None)
+@settings(max_examples=30)
 def test_windows_cover_every_changed_tile_and_read_no_more_than_tiles_apart(seed, size, radius):
     h, w = size
     tiles = (

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import importlib.util
 import json
+from contextlib import suppress
 from pathlib import Path
 
 import pytest
@@ -14,6 +15,7 @@ from rlbench.training import TrainingConfig, run_folder, train
 from rlbench.training.run_folder import RunState, find_weights, read_state
 from tests.conftest import write_noise
 from tests.learning_plugin import write_learner
+from tests.training.test_loop import KilledError, kill_after
 
 STATUS = {"frames": 400, "frames_seen": 250, "seconds": 65.0, "finished": False}
 
@@ -69,22 +71,11 @@ SCALARS = {
 }
 
 
-class KilledError(Exception):
-    """Stands for a kill."""
-
-
 def train_killed(folder: Path, clip: Path, *kills: int) -> Path:
     """A run that was killed after these sequences, and resumed each time."""
     for kill in (*kills, None):
-
-        def on_progress(progress: object, loss: float, kill: int | None = kill) -> None:
-            if progress.sequences == kill:
-                raise KilledError
-
-        try:
-            train("blur", [clip], [clip], folder, CONFIG, on_progress=on_progress)
-        except KilledError:
-            continue
+        with suppress(KilledError):
+            train("blur", [clip], [clip], folder, CONFIG, on_progress=kill_after(kill))
     return folder
 
 

@@ -42,7 +42,7 @@ def any_curve(draw):
     return curve("any", spp, values, fixed, draw(st.sampled_from([1, -1])))
 
 
-@settings(max_examples=100, deadline=None)
+@settings(max_examples=100)
 @given(any_curve(), TIMES, TIMES)
 def test_the_best_budget_never_exceeds_the_deadline(method, sample_ms, deadline_ms):
     spp = method.best_spp(np.array(sample_ms), np.array(deadline_ms))
@@ -52,7 +52,7 @@ def test_the_best_budget_never_exceeds_the_deadline(method, sample_ms, deadline_
         assert method.frame_ms_at(spp, sample_ms) <= deadline_ms * (1 + 1e-9)
 
 
-@settings(max_examples=100, deadline=None)
+@settings(max_examples=100)
 @given(any_curve(), TIMES, TIMES)
 def test_no_budget_of_a_dense_grid_is_better(method, sample_ms, deadline_ms):
     best = method.best_spp(np.array(sample_ms), np.array(deadline_ms))

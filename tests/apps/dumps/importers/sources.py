@@ -21,7 +21,7 @@ H, W = 12, 16  # at least the window of SSIM
 ROWS, COLUMNS = np.mgrid[:H, :W]
 
 
-def imported(source: Path, format_: str, out: Path, **options: object) -> StoredClip:
+def import_clip(source: Path, format_: str, out: Path, **options: object) -> StoredClip:
     """Import the only clip of a source and open it."""
     (sequence,) = formats.find_sequences(source, format_, options.get("frames"))
     header = writer.clip_header(sequence, options.get("samples"))

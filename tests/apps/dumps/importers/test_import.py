@@ -29,7 +29,7 @@ HALF = {"rtol": 2e-3, "atol": 2e-3}  # two roundings to half precision, of the d
 MOTION = {"rtol": 1e-4, "atol": 1e-4}  # pixels: stored as shares of the image in single precision
 
 
-def imported(source: Path, layout: str, out: Path) -> ClipArrays:
+def import_clip(source: Path, layout: str, out: Path) -> ClipArrays:
     (sequence,) = formats.find_sequences(source, layout)
     header = writer.clip_header(sequence, None, writer.estimate_exposure(sequence))
     writer.write_clip(sequence, header, out / sequence.name)
@@ -43,7 +43,7 @@ def engine(request, short, tmp_path_factory) -> tuple[str, ClipArrays]:
     WRITERS[request.param](short, folder / "dump")
     text = ready_layouts()[request.param].read_text()  # with the procedural camera's field of view
     (folder / "own.toml").write_text(text.replace("fov = 39.3077", "fov = 60.0"))
-    return request.param, imported(folder / "dump", str(folder / "own.toml"), folder / "out")
+    return request.param, import_clip(folder / "dump", str(folder / "own.toml"), folder / "out")
 
 
 def assert_equal_buffers(found: ClipArrays, short: ClipArrays, names: set[str]) -> None:
@@ -73,7 +73,7 @@ def test_the_linter_fails_no_imported_dump(engine):
 
 
 def test_a_layout_of_ones_own_reads_parts_means_and_other_conventions(short, tmp_path):
-    found = imported(tmp_path / "dump", str(write_own(short, tmp_path / "dump")), tmp_path)
+    found = import_clip(tmp_path / "dump", str(write_own(short, tmp_path / "dump")), tmp_path)
     # the dump holds 24 bits of a z-buffer, so distant depth is less exact than half precision
     assert_equal_buffers(found, short, {"albedo", "normal", "depth", "motion"})
     np.testing.assert_allclose(found.pools["path"].mean(1), short.pools["path"].mean(1), **HALF)
@@ -89,7 +89,7 @@ def test_the_linter_finds_the_light_that_demodulation_loses_where_albedo_is_blac
     layout = write_own(short, tmp_path / "dump")
     radiance, _, rest = layout.read_text().partition("[emission]")
     layout.write_text(radiance + rest[rest.index("[reference]") :])
-    results = lint_clip(imported(tmp_path / "dump", str(layout), tmp_path))
+    results = lint_clip(import_clip(tmp_path / "dump", str(layout), tmp_path))
     assert [r.check for r in results if r.verdict is Verdict.FAILED] == ["brightness"]
 
 
@@ -105,7 +105,7 @@ def test_a_clip_without_motion_depth_and_second_half_is_linted_with_warnings_alo
     for pattern in ("*mvec*", "*linearZ*", "referenceB/*"):
         for path in tmp_path.rglob(pattern):
             path.unlink()
-    found = imported(tmp_path / "dump", "falcor", tmp_path / "out")
+    found = import_clip(tmp_path / "dump", "falcor", tmp_path / "out")
     assert found.header.limitations == ("halves", "no depth", "no motion")
     verdicts = {result.check: result.verdict for result in lint_clip(found)}
     assert Verdict.FAILED not in verdicts.values()

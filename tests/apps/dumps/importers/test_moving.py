@@ -107,7 +107,7 @@ def test_the_jitter_of_a_dump_is_guessed(small, tmp_path):
 # The table of offsets
 
 
-@settings(max_examples=200, deadline=None)
+@settings(max_examples=200)
 @given(st.integers(0, 2000))
 def test_offsets_are_those_of_a_halton_sequence(index):
     points = qmc.Halton(2, scramble=False).fast_forward(index + 1).random(1)[0] - 0.5
@@ -117,7 +117,7 @@ def test_offsets_are_those_of_a_halton_sequence(index):
 FLOATS = st.floats(-2, 2, width=32)
 
 
-@settings(max_examples=200, deadline=None)
+@settings(max_examples=200)
 @given(
     st.lists(st.tuples(FLOATS, FLOATS), min_size=1, max_size=20),
     st.sampled_from([" ", ", ", "\t", ";"]),
@@ -137,7 +137,7 @@ def test_a_table_of_offsets_is_read_back(tmp_path_factory, table, separator, is_
         offset(len(table))
 
 
-@settings(max_examples=200, deadline=None)
+@settings(max_examples=200)
 @given(st.binary(max_size=80))
 def test_any_file_of_offsets_is_read_or_an_error(tmp_path_factory, content):
     folder = tmp_path_factory.getbasetemp()
@@ -172,7 +172,7 @@ def dump(short, tmp_path_factory) -> Path:
     return folder
 
 
-def imported(dump: Path, out: Path, *keys: str, **options) -> ClipArrays:
+def import_clip(dump: Path, out: Path, *keys: str, **options) -> ClipArrays:
     """The clip of a dump by Blender's layout with more keys in [motion]."""
     layout = out / "own.toml"
     layout.write_text("\n".join([ready_layouts()["blender"].read_text(), *keys]))
@@ -182,7 +182,7 @@ def imported(dump: Path, out: Path, *keys: str, **options) -> ClipArrays:
 
 
 def test_a_sky_without_motion_is_unknown_and_listed(dump, short, tmp_path):
-    found = imported(dump, tmp_path)
+    found = import_clip(dump, tmp_path)
     assert found.header.limitations == ("sky motion",)
     sky = short.gbuffer["depth"].isinf()[:, 0]
     h, w = sky.shape[1:]
@@ -197,7 +197,7 @@ def test_a_sky_without_motion_is_unknown_and_listed(dump, short, tmp_path):
 @pytest.mark.parametrize("start", [0, 1])
 def test_a_sky_moves_as_the_camera_of_its_frame_turns(dump, short, tmp_path, start):
     keys = ('camera = "cameras.json"', f"fov = {FOV}")
-    found = imported(dump, tmp_path, *keys, frames=(1 + start, 4))
+    found = import_clip(dump, tmp_path, *keys, frames=(1 + start, 4))
     assert found.header.limitations == ()
     unknown = 1 - start  # the first frame of the dump has no camera before it
     motion, expected = found.gbuffer["motion"], short.gbuffer["motion"][start:]
@@ -207,7 +207,7 @@ def test_a_sky_moves_as_the_camera_of_its_frame_turns(dump, short, tmp_path, sta
 
 
 def test_a_sky_that_is_declared_stored_stays(dump, short, tmp_path):
-    found = imported(dump, tmp_path, 'sky = "stored"')
+    found = import_clip(dump, tmp_path, 'sky = "stored"')
     sky = short.gbuffer["depth"].isinf()[:, 0]
     assert (found.gbuffer["motion"].movedim(1, -1)[sky] == 0).all()
 
@@ -216,7 +216,7 @@ def test_one_frame_of_many_with_a_still_sky_is_found(short, tmp_path):
     motion = short.gbuffer["motion"].clone()
     motion[1] = still_sky(short).gbuffer["motion"][1]
     write_blender(replace(short, gbuffer={**short.gbuffer, "motion": motion}), tmp_path / "dump")
-    found = imported(tmp_path / "dump", tmp_path)
+    found = import_clip(tmp_path / "dump", tmp_path)
     assert found.header.limitations == ("sky motion",)
     np.testing.assert_allclose(found.gbuffer["motion"][0], short.gbuffer["motion"][0], atol=1e-4)
 

@@ -207,7 +207,7 @@ def test_a_source_one_level_off_is_answered_with_the_folder_that_was_meant(tmp_p
 NUMBERS = st.integers(-(10**6), 10**6)
 
 
-@settings(max_examples=200, deadline=None)
+@settings(max_examples=200)
 @given(
     NUMBERS, st.integers(0, 9999), st.integers(1, 9), st.sampled_from(["", "_", ".", "a_", "x."])
 )
@@ -216,7 +216,7 @@ def test_a_number_of_any_sign_and_padding_is_read_from_a_name(frame, sample, wid
     assert match_pattern("s{sample}/*{frame}.exr", PurePath(name))[1:3] == (frame, sample)
 
 
-@settings(max_examples=200, deadline=None)
+@settings(max_examples=200)
 @given(st.sets(NUMBERS, min_size=1, max_size=6), st.sampled_from(["shot", "a1x", "take_2b"]))
 def test_signs_are_kept_where_a_name_without_one_is_beside_them(frames, word):
     assume(max(frames) >= 0)
@@ -227,7 +227,7 @@ def test_signs_are_kept_where_a_name_without_one_is_beside_them(frames, word):
     }
 
 
-@settings(max_examples=50, deadline=None)
+@settings(max_examples=50)
 @given(st.text(), st.text())
 def test_any_pattern_and_name_match_or_not_without_another_error(pattern, name):
     try:

@@ -25,7 +25,7 @@ from tests.apps.dumps.importers.sources import (
     H,
     W,
     grid,
-    imported,
+    import_clip,
     noisebase_arrays,
     radiance,
     write_noisebase,
@@ -221,7 +221,7 @@ def test_a_source_that_cannot_be_imported_is_explained(tmp_path, format_, kind):
     break_it, message = table[kind]
     break_it(source / place)
     with pytest.raises(SourceError, match=message):
-        imported(source, format_, tmp_path / "out")
+        import_clip(source, format_, tmp_path / "out")
     assert list(tmp_path.glob("out/*/clip.toml")) == []
 
 
@@ -229,7 +229,7 @@ def test_without_the_extra_the_message_says_what_to_install(tmp_path, monkeypatc
     source = write_noisebase(tmp_path / "source")
     monkeypatch.setitem(sys.modules, "numcodecs", None)
     with pytest.raises(SourceError, match=r"needs numcodecs: pip install 'rlbench\[noisebase\]'"):
-        imported(source, "noisebase", tmp_path / "out")
+        import_clip(source, "noisebase", tmp_path / "out")
 
 
 def test_no_code_in_a_pickle_is_run(tmp_path):
@@ -239,7 +239,7 @@ def test_no_code_in_a_pickle_is_run(tmp_path):
     assert (source / "touched").exists()  # torch runs it if it is allowed to
     (source / "touched").unlink()
     with pytest.raises(SourceError):
-        imported(source, "rl-path-tracing", tmp_path / "out")
+        import_clip(source, "rl-path-tracing", tmp_path / "out")
     assert not (source / "touched").exists()
 
 

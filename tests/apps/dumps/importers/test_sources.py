@@ -19,7 +19,7 @@ from tests.apps.dumps.importers.sources import (
     display,
     display_bytes,
     grid,
-    imported,
+    import_clip,
     noisebase_arrays,
     plane,
     pool,
@@ -33,7 +33,7 @@ from tests.apps.dumps.importers.sources import (
 
 @pytest.fixture
 def clip(request, tmp_path) -> StoredClip:
-    return imported(WRITERS[request.param](tmp_path / "source"), request.param, tmp_path / "out")
+    return import_clip(WRITERS[request.param](tmp_path / "source"), request.param, tmp_path / "out")
 
 
 def constant(*values: float) -> np.ndarray:
@@ -129,7 +129,7 @@ def test_the_header_lists_the_content_and_the_limitations(clip, format_):
 
 
 def test_two_references_of_one_spp_are_two_halves(tmp_path):
-    clip = imported(write_oidn(tmp_path / "source", halves=True), "oidn", tmp_path / "out")
+    clip = import_clip(write_oidn(tmp_path / "source", halves=True), "oidn", tmp_path / "out")
     b = clip.frame(2).reference.half_b[0].permute(1, 2, 0).numpy()
     np.testing.assert_array_equal(b, radiance(2, 9) + np.float32(1 / 3))
     assert "halves" not in clip.header.limitations
@@ -139,7 +139,7 @@ def test_two_references_of_one_spp_are_two_halves(tmp_path):
 def test_the_spp_of_a_file_named_ref_is_unknown(tmp_path):
     source = write_oidn(tmp_path / "source", frames=1)
     write_image(source / "walk_0000_ref.hdr.exr", radiance(0, 5))
-    clip = imported(source, "oidn", tmp_path / "out")
+    clip = import_clip(source, "oidn", tmp_path / "out")
     image = clip.frame(0).reference.half_a[0].permute(1, 2, 0).numpy()
     np.testing.assert_array_equal(image, radiance(0, 5))
     assert clip.header.reference_spp == (0,)
@@ -150,7 +150,7 @@ def test_the_spp_of_a_file_named_ref_is_unknown(tmp_path):
 
 def test_the_sky_moves_as_the_camera_turns(tmp_path):
     source = write_noisebase(tmp_path / "source", frames=2, step=0.3, yaw=0.05)
-    motion = stored(imported(source, "noisebase", tmp_path / "out"), 1, "motion")[0]
+    motion = stored(import_clip(source, "noisebase", tmp_path / "out"), 1, "motion")[0]
     x, y = (side[0] for side in plane())
     turned = np.tan(np.arctan(x) - 0.05) - x, y / (np.cos(0.05) + x * np.sin(0.05)) - y
     expected = np.stack((turned[0] * W / 2 * ZOOM, -turned[1] * H / 2 * ZOOM * W / H), -1)
@@ -158,13 +158,15 @@ def test_the_sky_moves_as_the_camera_turns(tmp_path):
 
 
 def test_the_first_frame_has_motion_if_the_frame_before_it_exists(tmp_path):
-    clip = imported(write_noisebase(tmp_path / "s"), "noisebase", tmp_path / "out", frames=(1, 3))
+    clip = import_clip(
+        write_noisebase(tmp_path / "s"), "noisebase", tmp_path / "out", frames=(1, 3)
+    )
     assert stored(clip, 0, "motion")[1, 0, 0] == pytest.approx(-0.1 / FAR * ZOOM * W / 2, abs=1e-5)
     assert clip.header.limitations == ("halves",)
 
 
 def test_fewer_samples_are_the_first(tmp_path):
-    clip = imported(write_noisebase(tmp_path / "s"), "noisebase", tmp_path / "out", samples=5)
+    clip = import_clip(write_noisebase(tmp_path / "s"), "noisebase", tmp_path / "out", samples=5)
     assert clip.header.pool_spp == 5
     assert pool(clip, 0)[-1, 0, 0, 0] == pytest.approx(4 / 255 / 2, rel=5e-4)  # half precision
 
@@ -196,7 +198,7 @@ def test_motion_files_may_have_the_name_that_the_script_writes_or_be_absent(tmp_
     source = write_rl_path_tracing(tmp_path / "source", corr="")
     for path in () if has_motion else source.rglob("*.pt"):
         path.unlink()
-    clip = imported(source, RL, tmp_path / "out")
+    clip = import_clip(source, RL, tmp_path / "out")
     assert stored(clip, 1, "motion")[0, 0, 0] == pytest.approx(DRIFT[0] * has_motion, abs=1e-5)
     assert ("no motion" in clip.header.limitations) == (not has_motion)
     assert not clip.header.static
@@ -209,6 +211,6 @@ def test_only_the_upper_left_720_are_kept(tmp_path):
     wide[719, 719], wide[720:], wide[:, 720:] = 128, 255, 255
     for name in ("00-0000", "gd0000", f"add{'Denoising Albedo' * 2}0000"):
         Image.fromarray(wide).save(source / f"{name}.png")
-    clip = imported(source, RL, tmp_path / "out")
+    clip = import_clip(source, RL, tmp_path / "out")
     assert stored(clip, 0, "albedo").shape == (720, 720, 3)
     assert display_bytes(pool(clip, 0)).max() == 128

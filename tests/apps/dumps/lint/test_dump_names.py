@@ -51,7 +51,7 @@ WORD = st.from_regex(r"[a-z]{3,6}", fullmatch=True).filter(
 )
 
 
-@settings(max_examples=200, deadline=None)
+@settings(max_examples=200)
 @given(
     st.sets(st.integers(-99, 9999), min_size=2, max_size=5),
     st.sets(st.integers(0, 40), min_size=1, max_size=3),
@@ -73,7 +73,7 @@ def test_frames_and_samples_are_read_back_from_any_names(
     assert {path: match_pattern(pattern, PurePath(path))[1:3] for path in names} == names
 
 
-@settings(max_examples=200, deadline=None)
+@settings(max_examples=200)
 @given(st.lists(st.from_regex(r"[a-zA-Z0-9_./\-\[\]{}*]{1,12}", fullmatch=True), max_size=8))
 def test_every_file_matches_its_pattern(paths):
     for pattern, files in find_patterns(set(paths)).items():
@@ -84,7 +84,7 @@ def test_every_file_matches_its_pattern(paths):
 LAYERS = [(name, word) for name, words in WORDS.items() for word in words if len(word) > 4]
 
 
-@settings(max_examples=200, deadline=None)
+@settings(max_examples=200)
 @given(
     st.sampled_from(LAYERS),
     st.sampled_from(["", "ViewLayer.", "beauty.", "VRay", "RenderLayer.", "x_"]),
@@ -96,7 +96,7 @@ def test_a_word_is_known_in_any_case_and_layer(layer, prefix, case):
     assert first == name or list(WORDS).index(first) < list(WORDS).index(name)
 
 
-@settings(max_examples=200, deadline=None)
+@settings(max_examples=200)
 @given(st.text())
 def test_any_text_is_classified(text):
     name, place = classify(text)
