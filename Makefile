@@ -86,14 +86,14 @@ unseen: .venv/dev.stamp
 
 # times by size, backend and precision, and what a frame costs in work and memory: 9 minutes of a quiet machine
 speed: .venv/dev.stamp
-	$(BIN)/rlbench speed -m '$(SPEED)' --sizes 192,720 --backend eager,openvino --bf16 --repeats 5 --out $(RESULTS)/speed
+	$(BIN)/rlbench speed -m '$(SPEED)' --sizes 192,720 --backend eager,openvino --half --repeats 5 --out $(RESULTS)/speed
 	cp $(RESULTS)/speed/speed.md $(RESULTS)/speed/speed.csv docs/results
 
 # on a machine with a GPU: recorded frames and steps against plain ones, and times of both at three sizes
 gpu: .venv/dev.stamp
 	$(BIN)/rlbench doctor
 	$(BIN)/python -m pytest tests/test_gpu.py -n 0
-	$(BIN)/rlbench speed -m '$(SPEED_GPU)' --sizes 192,1280x720,1080p --backend eager,graph,fused --bf16 --repeats 5 --device cuda --out $(RESULTS)/gpu
+	$(BIN)/rlbench speed -m '$(SPEED_GPU)' --sizes 192,1280x720,1080p --backend eager,graph,fused --half --repeats 5 --device cuda --out $(RESULTS)/gpu
 
 # frames of 1080p, on a machine with a GPU: clips, scores, times, and which row for 120, 60 and 30 frames a second; resumes
 hd: .venv/dev.stamp

@@ -161,7 +161,7 @@ class Histories:
         if self.config.first:
             behind = history.radiance.accumulated_spp
             more.append(behind / (behind + MANY))
-        output = run_network(self.network, accumulated.mean * exposure, gbuffer, *more).float()
+        output = run_network(self.network, accumulated.mean * exposure, gbuffer, *more)
         denoised = log_forward(self.decode(output[:, :3], exposure))
         old = history.image
         mix: Tensor | float = BLEND

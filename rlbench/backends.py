@@ -95,12 +95,12 @@ def applicable_backend(name: str, variant: Variant, *, skips_tiles: bool = False
     return name if variant.learned else EAGER
 
 
-def use_backend(method: Method, name: str, device: torch.device, bf16: bool = False) -> Method:
+def use_backend(method: Method, name: str, device: torch.device, half: bool = False) -> Method:
     """The method, whose networks run by a backend from now on; `eager` changes nothing.
 
     A network is compiled for each input size when it first sees it, which takes up to some seconds
     (`openvino`) or a minute (`compile`). `graph` and `fused` record `plan` and `denoise` for each
-    size, see `rlbench.recorded_method`. Outputs differ by rounding. `bf16` lets OpenVINO compute
+    size, see `rlbench.recorded_method`. Outputs differ by rounding. `half` lets OpenVINO compute
     in bfloat16; with the other backends torch.autocast does (`rlbench.wrappers.HalfPrecision`).
 
     Raises OptionError as `require_backend` does.
@@ -110,7 +110,7 @@ def use_backend(method: Method, name: str, device: torch.device, bf16: bool = Fa
         return RecordedMethod(method, RECORDED[name]())
     for network in find_networks(method):
         if name == OPENVINO:
-            network.forward = OpenVinoForward(network, bf16)
+            network.forward = OpenVinoForward(network, half)
         elif name == COMPILE:
             network.compile(dynamic=False)
     return method

@@ -18,7 +18,6 @@ from rlbench.ops.tiles import Window, cover_tiles, find_changed_tiles
 
 __all__ = ["HalfPrecision", "MethodWrapper", "SkipTiles", "TileMemory", "crop_inputs", "map_state"]
 
-HALF_DTYPE = torch.bfloat16  # range of float32, 8 bits of significand
 M = TypeVar("M", bound=Method)
 
 
@@ -74,7 +73,7 @@ class HalfPrecision(MethodWrapper[Method]):
     """
 
     device: torch.device  # where the method computes
-    dtype: torch.dtype = HALF_DTYPE
+    dtype: torch.dtype  # see rlbench.system.half_precision.half_dtype
 
     def plan(self, gbuffer: GBuffer, samples: Samples, state: State) -> Float[Tensor, "n 1 h w"]:
         """The method's density, in float32."""

@@ -65,7 +65,7 @@ def _own_cache(
 @pytest.fixture
 def native_bf16(monkeypatch: pytest.MonkeyPatch) -> None:
     """Run in bfloat16 here, whether or not this processor emulates it."""
-    monkeypatch.setattr("rlbench.system.bfloat16.emulation_reason", lambda device: "")
+    monkeypatch.setattr("rlbench.system.half_precision.emulation_reason", lambda device: "")
 
 
 @pytest.fixture

@@ -70,7 +70,7 @@ def differences(name: str, backend: str, bf16: bool = False) -> list[float]:
     """Largest differences of densities and images, relative to the largest value."""
     plain, other = (registry.load_method(name, CPU, "random") for _ in range(2))
     use_backend(other, backend, CPU, bf16)
-    compared = Compared(plain, HalfPrecision(other, CPU) if bf16 else other)
+    compared = Compared(plain, HalfPrecision(other, CPU, torch.bfloat16) if bf16 else other)
     list(run_clip(compared, CLIP, 2.0))
     return compared.differences
 

@@ -52,38 +52,39 @@ def test_a_wrapper_forwards_all_members_that_it_does_not_override():
         assert torch.equal(doubled.image, 2 * plain.image)
 
 
-def test_half_precision_images_are_float32_and_nearly_the_same():
+@pytest.mark.parametrize("dtype", [torch.bfloat16, torch.float16])
+def test_half_precision_images_are_float32_and_nearly_the_same(dtype):
     method = registry.load_method("oidn", CPU, "random")
     clip = procedural_clip(3, Size(1, 32, 48), 2, 8)
     full, half = (
         [result.image for result in run_clip(m, clip, 4.0)]
-        for m in (method, HalfPrecision(method, CPU))
+        for m in (method, HalfPrecision(method, CPU, dtype))
     )
     for single, reduced in zip(full, half, strict=True):
         assert reduced.dtype == torch.float32
         assert not torch.equal(single, reduced)  # else nothing was rounded
-        # 16 layers, each with a relative rounding error of at most 2^-9 in values and in weights
+        # 16 layers, each with a relative rounding error of at most eps / 2 in values and in weights
         error = (single - reduced).square().mean().sqrt() / single.square().mean().sqrt()
-        assert error < 32 * 2**-9
+        assert error < 16 * torch.finfo(dtype).eps
 
 
-def bf16_plan(folder: Path, *methods: str, bf16: bool = True) -> RunPlan:
+def half_plan(folder: Path, *methods: str, half: bool = True) -> RunPlan:
     clips = (StoredSource(folder),)
-    return RunPlan(methods, clips, spp=(1.0,), limit_frames=1, bf16=bf16)
+    return RunPlan(methods, clips, spp=(1.0,), limit_frames=1, half=half)
 
 
 @pytest.mark.usefixtures("native_bf16")
 def test_half_precision_has_its_own_rows_beside_the_others(clip_folder, tmp_path, capsys):
-    plan = bf16_plan(clip_folder, "ours/A2", "mean")
-    measure_scores(replace(plan, bf16=False), tmp_path / "r")
+    plan = half_plan(clip_folder, "ours/A2", "mean")
+    measure_scores(replace(plan, half=False), tmp_path / "r")
     # `mean` has no networks, so its cell is cached
     assert measure_scores(plan, tmp_path / "r") == RunSummary(measured=1, cached=1)
     rows = results.read(tmp_path / "r").groupby("method")["dtype"].unique().explode()
-    assert dict(rows) == {"ours/A2": "float32", "ours/A2@bf16": "bfloat16", "mean": "float32"}
+    assert dict(rows) == {"ours/A2": "float32", "ours/A2@half": "bfloat16", "mean": "float32"}
     console.print_outcome(read_outcome(plan, RunSummary(), tmp_path / "r"))
-    assert "ours/A2@bf16" in capsys.readouterr().out
+    assert "ours/A2@half" in capsys.readouterr().out
     measure_scores(replace(plan, weights_label="seed0"), tmp_path / "r")
-    assert "ours/A2@bf16-seed0" in set(results.read(tmp_path / "r")["method"])
+    assert "ours/A2@half-seed0" in set(results.read(tmp_path / "r")["method"])
 
 
 @pytest.mark.parametrize("shape", [(2, 5, 16, 32), (1, 5, 16, 32), (1, 5, 32, 16)])

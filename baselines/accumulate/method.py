@@ -120,7 +120,7 @@ class Accumulate:
         """The denoised radiance of one frame, linear."""
         exposure = autoexposure(accumulated.mean.detach())
         output = run_network(self.network, accumulated.mean * exposure, gbuffer)
-        return self.decode(output.float(), exposure)
+        return self.decode(output, exposure)
 
 
 def build(variant: str, device: torch.device, weights: str | None) -> Accumulate:

@@ -113,7 +113,7 @@ class EqualStart:
             last, weight = _reproject(gbuffer, state)
             more = (pu_forward(last * exposure), weight)
         output = run_network(self.networks.denoiser, noisy * exposure, gbuffer, *more)
-        image = self.decode(output.float(), exposure)
+        image = self.decode(output, exposure)
         return image, state and LastImage(image.detach().clamp_min(0), next_age(state.age))
 
 

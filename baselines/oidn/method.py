@@ -79,9 +79,12 @@ def run_network(
     gbuffer: GBuffer,
     *more: Float[Tensor, "n _ h w"],
 ) -> Float[Tensor, "n c h w"]:
-    """The network's output, in transfer space, for exposed radiance, albedo, normal, and `more`."""
+    """The network's output, in transfer space, for exposed radiance, albedo, normal, and `more`.
+
+    In float32 also under autocast: in half precision the inverse transfer would overflow.
+    """
     features = torch.cat((encode_inputs(exposed, gbuffer), *more), dim=1)
-    return crop(network(pad(features, multiple=STRIDE)), *features.shape[-2:])
+    return crop(network(pad(features, multiple=STRIDE)), *features.shape[-2:]).float()
 
 
 @dataclass(frozen=True)

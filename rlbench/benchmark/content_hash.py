@@ -48,7 +48,7 @@ class CellIds:
             *(cell.spp, cell.key.seed, cell.key.device),
             *(self.code_hashes[name], self.weights_hashes[name], self._scoring),
             *(plan.limit_frames, torch.__version__, cell.is_trained_on_clip),
-            self._code(*wrappers) if cell.bf16 else "",
+            self._code(*wrappers) if cell.half else "",
             *((self._backend,) if cell.backend != EAGER else ()),
             *((self._code(*wrappers, "rlbench.ops.tiles"),) if cell.skip_tiles else ()),
         )

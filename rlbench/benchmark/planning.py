@@ -23,7 +23,7 @@ from rlbench.errors import OptionError
 from rlbench.parallel.executor import LOCAL, Executor
 from rlbench.registry.near_names import unknown_name
 from rlbench.system import paths
-from rlbench.system.bfloat16 import require_native_bf16
+from rlbench.system.half_precision import require_half
 from rlbench.system.paths import check_writable
 from rlbench.weights import read_card
 
@@ -39,7 +39,7 @@ def plan_run(options: RunOptions) -> RunPlan:
     target = select_device(options.device)
     weights = None if options.weights is None else str(options.weights)
     backend = select_backend(options.backend, target)
-    check_precision(names, options.bf16, options.device, options.executor)
+    check_precision(names, options.half, options.device, options.executor)
     preset = None if options.clips else options.preset
     check_run(names, budgets, Path(options.out), preset, options.cost, weights, options.pool)
     return RunPlan(
@@ -62,7 +62,7 @@ def plan_run(options: RunOptions) -> RunPlan:
         weights=weights,
         weights_label=options.weights_label,
         weights_for=tuple(as_list(options.weights_for)),
-        bf16=options.bf16,
+        half=options.half,
         backend=backend,
         skip_tiles=options.skip_tiles,
         limit_frames=options.limit_frames,
@@ -155,15 +155,15 @@ def as_list(values: Any) -> list[Any]:
 
 
 def check_precision(
-    methods: Iterable[str], bf16: bool, device: str, executor: Executor = LOCAL
+    methods: Iterable[str], half: bool, device: str, executor: Executor = LOCAL
 ) -> None:
-    """Raise OptionError if networks were to run in bfloat16 on a device that emulates it.
+    """Raise OptionError if networks were to run in half precision on a device that emulates it.
 
     Other machines are asked by the executor's workers, cell by cell.
     """
     has_networks = any(registry.get_variant(name).learned for name in methods)
-    if bf16 and has_networks and not executor.description:
-        require_native_bf16(select_device(device))
+    if half and has_networks and not executor.description:
+        require_half(select_device(device))
 
 
 def select_device(name: str = "auto") -> torch.device:

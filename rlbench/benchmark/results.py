@@ -38,11 +38,11 @@ SUFFIX = ".parquet"
 DAMAGED = ".damaged"  # added to the name of a row file that cannot be read
 IMAGES_PREFIX = "images "  # in `code_hash`, before the hash of images that were made elsewhere
 HELD_OUT_PREFIX = "without "  # in `weights_hash`, before the scene that a cross-validation held out
-BF16 = "bf16"  # label of rows whose networks ran in bfloat16
+HALF = "half"  # label of rows whose networks ran in half precision
 OTHER_BACKENDS = ("openvino", "compile", "graph", "fused")  # labels of rows that they ran
 TILES = "tiles"  # label of rows whose unchanged tiles were kept from the last image
 CROSSVAL = "crossval"  # label of rows whose weights were trained without the row's scene
-RESERVED_LABELS = (BF16, TILES, CROSSVAL, *OTHER_BACKENDS)  # labels that no weights may have
+RESERVED_LABELS = (HALF, TILES, CROSSVAL, *OTHER_BACKENDS)  # labels that no weights may have
 UNFINISHED = ".unfinished"  # a file in the folder while `rlbench evaluate` writes to it
 SCHEMA = 2  # of columns, names and metadata
 METADATA = b"rlbench"  # key of the JSON with the schema and the cell's identity
@@ -125,7 +125,7 @@ class RowOptions:
     """What a label says: the options of `rlbench run` that measured a row."""
 
     backend: str = "eager"  # that ran the networks
-    bf16: bool = False
+    half: bool = False
     skip_tiles: bool = False
     weights: str = ""  # the rest: a name of weights, or crossval; empty for shipped weights
 
@@ -136,13 +136,13 @@ class RowName:
 
     >>> RowName.parse("ours/A2@seed3")
     RowName(family='ours', variant='A2', label='seed3')
-    >>> str(RowName("ours", label="bf16"))
-    'ours@bf16'
+    >>> str(RowName("ours", label="half"))
+    'ours@half'
     """
 
     family: str
     variant: str = ""  # empty for the family's main variant
-    label: str = ""  # backend, bf16, tiles and a name of weights or crossval, joined by -
+    label: str = ""  # backend, half, tiles and a name of weights or crossval, joined by -
 
     @classmethod
     def parse(cls, text: str) -> RowName:
@@ -160,16 +160,16 @@ class RowName:
     def options(self) -> RowOptions:
         """What the label says, part by part in the order in which a run writes them.
 
-        >>> RowName.parse("ours@openvino-bf16-seed3").options
-        RowOptions(backend='openvino', bf16=True, skip_tiles=False, weights='seed3')
+        >>> RowName.parse("ours@openvino-half-seed3").options
+        RowOptions(backend='openvino', half=True, skip_tiles=False, weights='seed3')
         """
         words = self.label.split("-")
 
         def take(*known: str) -> str:
             return words.pop(0) if words and words[0] in known else ""
 
-        backend, bf16, tiles = take(*OTHER_BACKENDS), take(BF16), take(TILES)
-        return RowOptions(backend or "eager", bool(bf16), bool(tiles), "-".join(words))
+        backend, half, tiles = take(*OTHER_BACKENDS), take(HALF), take(TILES)
+        return RowOptions(backend or "eager", bool(half), bool(tiles), "-".join(words))
 
     def __str__(self) -> str:
         """The name as it stands in the results."""

@@ -39,7 +39,7 @@ class RunOptions:
     weights: Path | str | None = None  # None: the shipped ones
     weights_label: str = ""
     weights_for: str | Iterable[str] = ()  # methods; empty: all
-    bf16: bool = False
+    half: bool = False
     backend: str = "eager"  # that runs networks, see rlbench.backends
     skip_tiles: bool = False
     limit_frames: int | None = None  # first frames of each clip

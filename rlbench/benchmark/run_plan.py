@@ -19,7 +19,7 @@ from rlbench.benchmark.cell_key import CellKey, CellsError
 from rlbench.benchmark.clip_sources import StoredSource
 from rlbench.benchmark.cost_profile import MEASURED
 from rlbench.benchmark.latency import REPEATS, device_name
-from rlbench.benchmark.results import BF16, CROSSVAL, RESERVED_LABELS, TILES, RowName
+from rlbench.benchmark.results import CROSSVAL, HALF, RESERVED_LABELS, TILES, RowName
 from rlbench.benchmark.run_options import DEFAULT_SPP
 from rlbench.clips.compatibility import incompatibility
 from rlbench.clips.header import Header
@@ -27,7 +27,7 @@ from rlbench.family import Traits, Variant
 from rlbench.frames import Clip
 from rlbench.method import Method
 from rlbench.returns import CheckedReturns
-from rlbench.system.bfloat16 import require_native_bf16
+from rlbench.system.half_precision import half_dtype, require_half
 from rlbench.weights import training_clips
 from rlbench.wrappers import HalfPrecision, SkipTiles
 
@@ -48,7 +48,7 @@ class RunPlan:
     weights_for: tuple[str, ...] = ()  # the methods that `weights` are of; empty: all
     limit_frames: int | None = None  # first frames of each clip only, for a trial run
     repeats: int = REPEATS  # timed frames, at least
-    bf16: bool = False  # run networks in bfloat16
+    half: bool = False  # run networks in half precision
     backend: str = EAGER  # that runs networks, see rlbench.backends
     skip_tiles: bool = False  # keep unchanged tiles of local methods, see rlbench.wrappers
     weights_label: str = ""  # label of the rows, to keep several weights of one method apart
@@ -78,7 +78,7 @@ class Cell:
     clip: StoredSource
     method_name: str  # family or family/variant, the row name without its label
     variant: Variant
-    bf16: bool  # do its networks run in bfloat16?
+    half: bool  # do its networks run in half precision?
     backend: str  # that runs its networks
     skip_tiles: bool  # are unchanged tiles kept from the last image?
     weights_file: Path | None  # None for random weights, and without networks
@@ -130,7 +130,7 @@ def list_cells(plan: RunPlan) -> list[Cell]:
             clip=clip,
             method_name=name,
             variant=variants[name],
-            bf16=plan.bf16 and variants[name].learned,
+            half=plan.half and variants[name].learned,
             backend=_backend_of(plan, variants[name]),
             skip_tiles=_skips_tiles(plan, variants[name]),
             weights_file=files[name],
@@ -145,7 +145,7 @@ def list_cells(plan: RunPlan) -> list[Cell]:
 def row_name(plan: RunPlan, name: str) -> str:
     """Name of a method's rows, labelled by what differs from the method as shipped.
 
-    That is the backend, bfloat16, skipped tiles, and other weights. Weights without a label are
+    That is the backend, half precision, skipped tiles, other weights. Weights without a label are
     labelled by their file, if the method also has shipped weights.
     """
     variant = registry.get_variant(name)
@@ -157,7 +157,7 @@ def row_name(plan: RunPlan, name: str) -> str:
         if weights and not label and _shipped_weights(name).is_file():
             label = _label_of_file(weights)
         label = CROSSVAL if plan.held_out_scene else label
-        parts = [parts[0], BF16 if plan.bf16 else "", parts[1], label]
+        parts = [parts[0], HALF if plan.half else "", parts[1], label]
     return str(replace(RowName.parse(name), label="-".join(filter(None, parts))))
 
 
@@ -186,14 +186,14 @@ class CellLoader:
         if cell.method_name not in self._methods:
             _logger.info("%s: built with weights %s", cell.method_name, cell.weights_file or "none")
             try:
-                if cell.bf16:
-                    require_native_bf16(self.plan.device)  # also on the workers of an executor
+                if cell.half:
+                    require_half(self.plan.device)  # also on the workers of an executor
                 self._methods[cell.method_name] = build_method(
                     cell.method_name,
                     self.plan.device,
                     chosen_weights(self.plan, cell.method_name),
                     backend=cell.backend,
-                    bf16=cell.bf16,
+                    half=cell.half,
                     skip_tiles=cell.skip_tiles,
                 )
             except Exception as error:  # missing weights or packages: a reason for each cell
@@ -220,7 +220,7 @@ def build_method(
     weights: str | None = None,
     *,
     backend: str = EAGER,
-    bf16: bool = False,
+    half: bool = False,
     skip_tiles: bool = False,
 ) -> Method:
     """A method as it is measured: what it returns is checked, and these options are applied.
@@ -229,8 +229,8 @@ def build_method(
     backend that the device does not have.
     """
     method: Method = CheckedReturns(registry.load_method(name, device, weights))
-    method = use_backend(method, backend, device, bf16)
-    method = HalfPrecision(method, device) if bf16 else method
+    method = use_backend(method, backend, device, half)
+    method = HalfPrecision(method, device, half_dtype(device)) if half else method
     return SkipTiles(method) if skip_tiles else method
 
 

@@ -62,6 +62,7 @@ from rlbench.parallel.executor import LOCAL, Executor, JobResult, ProgressCallba
 from rlbench.registry.near_names import unknown_name
 from rlbench.run import run_clip
 from rlbench.system.folder_lock import locked_folder
+from rlbench.system.half_precision import half_dtype
 from rlbench.system.paths import WriteError
 from rlbench.system.process_settings import keep_freed_memory
 
@@ -267,6 +268,7 @@ class CellRunner:
         hashes = CellIds(plan)
         self.cells = hashes.cells
         self.ids = {cell.key: hashes.cell_id(cell) for cell in self.cells}
+        half = str(half_dtype(plan.device)).removeprefix("torch.")
         self.templates = {
             cell.key: row_template(
                 cell.key,
@@ -274,7 +276,7 @@ class CellRunner:
                 hashes.run_id,
                 hashes.code_hashes[cell.method_name],
                 hashes.weights_hashes[cell.method_name],
-                "bfloat16" if cell.bf16 else "float32",
+                half if cell.half else "float32",
             )
             for cell in self.cells
         }

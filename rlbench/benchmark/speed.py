@@ -28,7 +28,7 @@ from rlbench import registry
 from rlbench.backends import EAGER
 from rlbench.benchmark.clock import PARTS, SystemClock
 from rlbench.benchmark.latency import REPEATS, TimedRow, Timing, device_name, time_methods
-from rlbench.benchmark.results import interval_columns, mark_uncertainty, uncertainty
+from rlbench.benchmark.results import HALF, interval_columns, mark_uncertainty, uncertainty
 from rlbench.benchmark.run_plan import build_method
 from rlbench.clips.in_memory import InMemoryClip
 from rlbench.clips.procedural.clip import procedural_clip
@@ -38,6 +38,7 @@ from rlbench.method import Method, State
 from rlbench.ops.nested_tensors import iterate_parts, iterate_tensors
 from rlbench.parallel.executor import LOCAL, JobResult, ProgressCallback
 from rlbench.run import run_clip
+from rlbench.system.half_precision import half_dtype
 from rlbench.wrappers import MethodWrapper
 
 PEAK_SIDE, COPIED_BYTES = 2048, 2**28  # of the product and the copy that stand for peaks
@@ -95,18 +96,18 @@ class Configuration:
 
     method: str
     backend: str = EAGER
-    bf16: bool = False
+    half: bool = False  # networks in half precision
 
     @property
     def row_name(self) -> str:
         """The name as in the results."""
-        parts = [self.backend] * (self.backend != EAGER) + ["bf16"] * self.bf16
+        parts = [self.backend] * (self.backend != EAGER) + [HALF] * self.half
         return "@".join(filter(None, (self.method, "-".join(parts))))
 
     def load(self, device: torch.device) -> Method:
         """The method with its shipped weights, or random ones: they change no time."""
         weights = None if registry.get_variant(self.method).pretrained else "random"
-        return build_method(self.method, device, weights, backend=self.backend, bf16=self.bf16)
+        return build_method(self.method, device, weights, backend=self.backend, half=self.half)
 
 
 def measure_speed(
@@ -121,7 +122,8 @@ def measure_speed(
     Configurations are timed together, size by size. `on_done` is called after each line. A method
     that fails has no times, and the error as its note (`failed_rows`).
     """
-    peaks = {bf16: peak_throughput(device, bf16) for bf16 in {c.bf16 for c in configurations}}
+    dtypes = {c: half_dtype(device) if c.half else torch.float32 for c in configurations}
+    peaks = {dtype: peak_throughput(device, dtype) for dtype in set(dtypes.values())}
     bandwidth = peak_bandwidth(device)
     names = list(dict.fromkeys(c.method for c in configurations))
     work = {each.job: each for each in LOCAL.map(partial(_count_work, device), names)}
@@ -143,7 +145,7 @@ def measure_speed(
             counted = each.result().counted
             per_second = 1e3 * math.prod(size) / timing.inference.mean  # pixels
             share = {
-                "peak_share": 1e3 * counted["multiply_adds"] * per_second / peaks[each.job.bf16],
+                "peak_share": 1e3 * counted["multiply_adds"] * per_second / peaks[dtypes[each.job]],
                 "bandwidth_share": counted["traffic_bytes"] * per_second / bandwidth,
             }
             lines.append(line | _times(timing) | counted | share)
@@ -220,9 +222,8 @@ def _time_rows(
     return [each.error or each.result()[0] for each in LOCAL.map(time, [[row] for row in rows])]
 
 
-def peak_throughput(device: torch.device, bf16: bool) -> float:
+def peak_throughput(device: torch.device, dtype: torch.dtype) -> float:
     """Multiply-adds per second of a product of two matrices of 2048 x 2048."""
-    dtype = torch.bfloat16 if bf16 else torch.float32
     a, b = torch.rand(2, PEAK_SIDE, PEAK_SIDE, device=device).to(dtype)
     return PEAK_SIDE**3 / _median_seconds(lambda: torch.mm(a, b), device)
 

@@ -131,7 +131,7 @@ class TimingCache:
 
     def published_inference(self, cell: Cell) -> ProfileTime | None:
         """Inference time of a cell by the profile; None where it has none of this row."""
-        is_published = cell.backend == EAGER and not (cell.bf16 or cell.skip_tiles)
+        is_published = cell.backend == EAGER and not (cell.half or cell.skip_tiles)
         if self.profile is None or not is_published:
             return None
         return self.profile.inference(cell.method_name, cell.header.height, cell.header.width)

@@ -71,15 +71,15 @@ def _check_versions() -> Iterator[CheckResult]:
 def _check_devices() -> Iterator[CheckResult]:
     import torch
 
-    from rlbench.system import bfloat16
+    from rlbench.system.half_precision import describe_half
 
     cores = f"{os.cpu_count()} cores, torch uses {torch.get_num_threads()} threads"
     yield passed("processor", f"{provenance.machine().cpu}, {cores}")
-    yield passed("processor bfloat16", bfloat16.describe_bf16("cpu"))
+    yield passed("processor half precision", describe_half("cpu"))
     yield _check_openvino()
     if torch.cuda.is_available():
         yield passed("cuda", provenance.machine().gpu)
-        yield passed("cuda bfloat16", bfloat16.describe_bf16("cuda"))
+        yield passed("cuda half precision", describe_half("cuda"))
     else:
         yield not_applicable("cuda", "no device; everything runs on the processor")
 

@@ -98,11 +98,11 @@ def pool_kinds(names: Iterable[str]) -> set[str]:
     return {registry.get_variant(name).traits.pool for name in names}
 
 
-def warn_without_networks(names: Collection[str], bf16: bool, weights: WeightsChoice) -> None:
-    """Say that --bf16 and --weights have no effect, if no method has networks."""
+def warn_without_networks(names: Collection[str], half: bool, weights: WeightsChoice) -> None:
+    """Say that --half and --weights have no effect, if no method has networks."""
     from rlbench import registry
 
     has_networks = any(registry.get_variant(name).learned for name in names)
-    if (bf16 or weights.file) and not has_networks:
-        text = f"--bf16 and --weights have no effect, because {', '.join(names)} has no networks"
+    if (half or weights.file) and not has_networks:
+        text = f"--half and --weights have no effect, because {', '.join(names)} has no networks"
         note(text)

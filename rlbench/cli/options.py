@@ -151,7 +151,10 @@ Weights = Annotated[
         show_default=False,
     ),
 ]
-Bf16 = Annotated[bool, flag(METHODS, "--bf16", "run networks in bfloat16, for rows METHOD@bf16")]
+Half = Annotated[
+    bool,
+    flag(METHODS, "--half", "run networks in half precision, for rows METHOD@half"),
+]
 Backend = Annotated[
     Literal["eager", "openvino", "compile", "graph", "fused", "auto"],
     option(

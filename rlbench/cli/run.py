@@ -40,7 +40,7 @@ def run(
     ] = False,
     as_json: options.Json = False,
     weights: options.Weights = options.SHIPPED,
-    bf16: options.Bf16 = False,
+    half: options.Half = False,
     backend: options.Backend = "eager",
     skip_tiles: Annotated[
         bool,
@@ -131,7 +131,7 @@ def run(
       rlbench run -m ours --weights seed1=runs/seed1/ours/ours.safetensors
       rlbench run --config results/run.toml --out again
       rlbench run --config mine/run.toml --allow-plugins --out again
-      rlbench run -m ours,oidn --bf16
+      rlbench run -m ours,oidn --half
       rlbench run -m ours,oidn --backend openvino
       rlbench run -m eaw/still --spp 0.25 --skip-tiles
       rlbench run --config results/run.toml --times uncertain
@@ -154,7 +154,7 @@ def run(
     if times in AGAIN:  # what the cells' own run wrote into its file says nothing of this one
         keep_images &= config_file.is_typed(context, "keep_images")
     check_times(times, keep_images)
-    warn_without_networks(names, bf16, chosen)
+    warn_without_networks(names, half, chosen)
     with open_executor(engine) as executor:
         plan = plan_run(
             fill(

@@ -47,7 +47,9 @@ def speed(
             value="NAMES",
         ),
     ] = None,
-    bf16: Annotated[bool, flag(METHODS, "--bf16", "measure networks in bfloat16 too")] = False,
+    half: Annotated[
+        bool, flag(METHODS, "--half", "measure networks in half precision too")
+    ] = False,
     repeats: options.Repeats = 10,
     device: options.Device = "auto",
     out: Annotated[Path, folder("folder of the table")] = Path("results/speed"),
@@ -76,7 +78,7 @@ def speed(
 
     \b
       rlbench speed -m ours,oidn/tuned,oidn-intel
-      rlbench speed -m ours,ntas --sizes 1080p --backend eager,openvino --bf16
+      rlbench speed -m ours,ntas --sizes 1080p --backend eager,openvino --half
       rlbench speed -m mine,oidn-intel --plugin mine.py --sizes 640x480
       rlbench speed -m ours,svgf --device cuda --sizes 1080p --as-cost gpu.toml --sample-ms 4.2
     """
@@ -101,15 +103,15 @@ def speed(
 
     target = select_device(device)
     backends = [select_backend(name, target) for name in split_names(backend) or [EAGER]]
-    check_precision(names, bf16, device)
+    check_precision(names, half, device)
     check_writable(out)
     if as_cost:
         check_writable(as_cost.parent)
     configurations = [
-        Configuration(name, each, half)
+        Configuration(name, each, is_half)
         for name in names
-        for each, half in product(backends, (False, True) if bf16 else (False,))
-        if _changes_something(registry.get_variant(name), each, half)
+        for each, is_half in product(backends, (False, True) if half else (False,))
+        if _changes_something(registry.get_variant(name), each, is_half)
     ]
     with console.counting("timing", len(configurations) * len(sizes)) as advance:
         table = measure_speed(configurations, sizes, target, repeats, advance)

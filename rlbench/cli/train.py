@@ -377,7 +377,7 @@ def training_runs(
     """Runs with these options, a progress bar, and this command in their model cards."""
     from rlbench.benchmark.planning import select_device
     from rlbench.cli import console
-    from rlbench.system.bfloat16 import emulation_reason
+    from rlbench.system.half_precision import emulation_reason
     from rlbench.training.loop import TrainingRuns
 
     selected = str(select_device(device))

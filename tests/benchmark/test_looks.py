@@ -17,7 +17,7 @@ from tests.measuring import measure_scores
 
 
 def cell(method="ours", preset="unseen", code="a"):
-    return CellKey(f"{method}@bf16", "clip", 1.0, 0, "cpu", preset), code
+    return CellKey(f"{method}@half", "clip", 1.0, 0, "cpu", preset), code
 
 
 def read(folder):
@@ -31,8 +31,8 @@ def test_a_run_adds_a_line_for_each_preset_of_a_test(tmp_path):
     assert not (tmp_path / looks.FILE).exists()
     looks.record_looks(tmp_path, [cell(), cell("mean", code="b"), cell(preset="mini")])
     mini, unseen = read(tmp_path)
-    assert (mini["preset"], mini["methods"], mini["cells"]) == ("mini", "ours@bf16", "1")
-    assert (unseen["preset"], unseen["methods"]) == ("unseen", "mean@bf16 ours@bf16")
+    assert (mini["preset"], mini["methods"], mini["cells"]) == ("mini", "ours@half", "1")
+    assert (unseen["preset"], unseen["methods"]) == ("unseen", "mean@half ours@half")
     assert unseen["date"].endswith("Z")
     looks.record_looks(tmp_path, [cell(preset="mini", code="changed")])
     assert looks.count_looks(tmp_path) == {"mini": 2, "unseen": 1}

@@ -225,16 +225,16 @@ def test_rows_with_a_label_belong_to_their_method(names, expected):
         ("ours/A2", ("ours", "A2", ""), RowOptions()),
         ("mean@tiles", ("mean", "", "tiles"), RowOptions(skip_tiles=True)),
         (
-            "ours@compile-bf16-tiles",
-            ("ours", "", "compile-bf16-tiles"),
-            RowOptions("compile", bf16=True, skip_tiles=True),
+            "ours@compile-half-tiles",
+            ("ours", "", "compile-half-tiles"),
+            RowOptions("compile", half=True, skip_tiles=True),
         ),
         (
-            "ours/A2@bf16-seed-3",
-            ("ours", "A2", "bf16-seed-3"),
-            RowOptions(bf16=True, weights="seed-3"),
+            "ours/A2@half-seed-3",
+            ("ours", "A2", "half-seed-3"),
+            RowOptions(half=True, weights="seed-3"),
         ),
-        ("ours@weights-bf16", ("ours", "", "weights-bf16"), RowOptions(weights="weights-bf16")),
+        ("ours@weights-half", ("ours", "", "weights-half"), RowOptions(weights="weights-half")),
         ("restir+oidn@crossval", ("restir+oidn", "", "crossval"), RowOptions(weights="crossval")),
     ],
 )

@@ -362,7 +362,7 @@ def test_an_older_cell_that_a_kill_left_is_removed_by_the_next_run(clip_folder, 
     assert table.cells(tmp_path / "r") == {cell}
 
 
-@pytest.mark.parametrize("name", ["bf16", "crossval-3"])
+@pytest.mark.parametrize("name", ["half", "crossval-3"])
 def test_weights_never_have_a_reserved_label(clip_folder, tmp_path, name):
     plan = run_plan(clip_folder, "ours/A2", weights=f"runs/{name}.safetensors")
     assert row_name(plan, "ours/A2") == f"ours/A2@weights-{name}"

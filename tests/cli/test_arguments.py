@@ -120,7 +120,7 @@ def test_weights_may_be_named(text, expected, tmp_path, monkeypatch):
         ("seed1=b.safetensors", "'b.safetensors' does not exist. .*'rlbench train' writes one"),
         ("b.safetensors", "'b.safetensors' does not exist"),
         ("a@b=file", "Use letters, digits"),
-        ("bf16=file", "METHOD@bf16 names rows of another kind"),
+        ("half=file", "METHOD@half names rows of another kind"),
         ("crossval=file", "METHOD@crossval names rows of another kind"),
     ],
 )

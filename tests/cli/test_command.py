@@ -66,8 +66,8 @@ def test_a_run_without_methods_measures_the_rows_of_the_demo_and_says_so(clip_fo
 
 
 def test_quiet_prints_results_alone_and_verbose_each_step(run_mean):
-    words = (*run_mean, "--spp", 1, "--bf16", "--times", "none")
-    note, step = "--bf16 and --weights have no effect", "rlbench.benchmark.runner: mean on noise"
+    words = (*run_mean, "--spp", 1, "--half", "--times", "none")
+    note, step = "--half and --weights have no effect", "rlbench.benchmark.runner: mean on noise"
     quiet = rlbench(*words, "-q")
     assert "passed" in quiet
     assert note not in quiet

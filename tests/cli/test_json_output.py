@@ -30,7 +30,7 @@ def keys(kind: type) -> set[str]:
 
 
 def test_a_run_prints_scores_counts_and_the_verdict(run_mean):
-    found = document(*run_mean, "--spp", 1, "--times", "none", "--bf16")  # and a note, elsewhere
+    found = document(*run_mean, "--spp", 1, "--times", "none", "--half")  # and a note, elsewhere
     assert found.keys() == keys(json_output.RunOutput)
     assert found["cells"]["measured"] == 1
     assert found["passed"]

@@ -125,7 +125,7 @@ def test_labels_stay_within_the_panel_and_are_spread_if_they_do_not_fit():
     assert spread_labels([1.0, 1.0, 9.0], 8, 0, 10) == [0, 5, 10]
 
 
-@pytest.mark.parametrize("name", ["mean", "accumulate/contrast", "WWW/iii@openvino-bf16"])
+@pytest.mark.parametrize("name", ["mean", "accumulate/contrast", "WWW/iii@openvino-half"])
 def test_the_width_of_a_label_is_enough_for_its_drawn_text_and_little_more(name):
     axes = Figure(figsize=(9, 3), dpi=150).subplots()
     label_curves(axes, [(name, 0.5, 0.5)], line_styles([name]), 3, ".1f")

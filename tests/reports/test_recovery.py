@@ -108,7 +108,7 @@ def test_every_panel_has_the_curves_of_its_clip_and_marks_its_events():
         assert [line.get_xdata()[0] for line in marks] == [CUT - 0.5, LIGHT - 0.5]
 
 
-@pytest.mark.parametrize("name", ["mean", "accumulate/denoised-variance@openvino-bf16"])
+@pytest.mark.parametrize("name", ["mean", "accumulate/denoised-variance@openvino-half"])
 def test_no_label_at_the_end_of_a_curve_is_cut_or_meets_the_next_panel(name):
     clips = ("hall-cut", "city-cut", "ripples-cut", "temple-cut")
     rows = table(clips=clips, spp=(1.0,)).replace({"method": {"memory": name}})

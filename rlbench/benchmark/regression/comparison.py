@@ -213,7 +213,7 @@ def _aligned(lines: list[tuple[str, ...]]) -> list[str]:
 class SpeedGate:
     """The largest ratio of two inference times that passes."""
 
-    row: str  # name of a row, such as ours or ours@bf16
+    row: str  # name of a row, such as ours or ours@half
     reference: str  # name of the row that its time is divided by
     max_ratio: float
 
@@ -323,7 +323,7 @@ def _configuration(name: str) -> Configuration:
     from rlbench.benchmark.speed import Configuration
 
     row = RowName.parse(name)
-    return Configuration(row.method_name, row.options.backend, row.options.bf16)
+    return Configuration(row.method_name, row.options.backend, row.options.half)
 
 
 def _is_known(name: str) -> bool:

@@ -160,7 +160,7 @@ def _compute(key: FrameKey, clip: StoredSource) -> LinearImage:
         (key.target_spp,),
         (key.seed,),
         torch.device("cpu"),
-        bf16=options.bf16,
+        half=options.half,
         backend=options.backend,
         skip_tiles=options.skip_tiles,
     )

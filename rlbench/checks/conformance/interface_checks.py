@@ -31,6 +31,7 @@ from rlbench.family import Traits
 from rlbench.returns import Fault, find_density_fault, find_signature_fault
 from rlbench.run import FrameResult, unroll
 from rlbench.sampling import BudgetError
+from rlbench.system.half_precision import half_dtype
 from rlbench.wrappers import HalfPrecision
 
 SMALL_POOL_SPP = 2  # samples per pixel in a small pool
@@ -157,13 +158,13 @@ def check_inputs(tested: MethodUnderTest) -> str | None:
 
 
 @requirement(
-    "run in half precision (bfloat16 autocast)",
+    "run in half precision (autocast)",
     "call .float() on the output of each network before combining it with float32 tensors",
     requires=(*FINITE, "density"),
 )
 def check_half_precision(tested: MethodUnderTest) -> str | None:
-    """Under autocast convolutions return bfloat16, which then meets float32."""
-    method = RecordingMethod(HalfPrecision(tested.method, tested.device))
+    """Under autocast convolutions return halves, which then meet float32."""
+    method = RecordingMethod(HalfPrecision(tested.method, tested.device, half_dtype(tested.device)))
     return find_nonfinite(list(tested.run_with(method, tested.small_clip())))
 
 

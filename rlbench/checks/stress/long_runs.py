@@ -95,7 +95,9 @@ def run(stressed: StressedMethod, is_quick: bool) -> Iterator[CheckResult]:
     yield _judge_finite(full)
     if not is_quick:  # its windows are shorter than a period of the moving camera, 52 frames
         yield from _judge_quality(full, MOVING)
-        half = replace(stressed, method=HalfPrecision(stressed.method, stressed.device))
+        half = replace(
+            stressed, method=HalfPrecision(stressed.method, stressed.device, torch.bfloat16)
+        )
         half_run = _record_run(half, HALF_FRAMES, window)
         for clip in CLIP_NAMES:
             yield from _judge_quality(half_run, clip, "-bf16")

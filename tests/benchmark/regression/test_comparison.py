@@ -159,8 +159,8 @@ def timing(median, half_width=0.0, disturbance=""):
     [
         ("ours/latent/oidn<=1.3", SpeedGate("ours/latent", "oidn", 1.3)),
         (" oidn/tuned / oidn<=1e0", SpeedGate("oidn/tuned", "oidn", 1.0)),
-        ("ours@bf16/ours<=0.8", SpeedGate("ours@bf16", "ours", 0.8)),
-        ("ours@openvino-bf16/ours/latent<=1", SpeedGate("ours@openvino-bf16", "ours/latent", 1.0)),
+        ("ours@half/ours<=0.8", SpeedGate("ours@half", "ours", 0.8)),
+        ("ours@openvino-half/ours/latent<=1", SpeedGate("ours@openvino-half", "ours/latent", 1.0)),
     ],
 )
 def test_a_gate_names_two_rows_and_a_ratio(text, gate):

@@ -32,7 +32,7 @@ def images(
     out: Annotated[Path, folder("folder to write to")] = Path("images"),
     plugin: options.Plugins = None,
     weights: options.Weights = options.SHIPPED,
-    bf16: options.Bf16 = False,
+    half: options.Half = False,
     takes: options.Takes = None,
     seed: Annotated[
         int, option(MEASUREMENT, "seed of the sample order and of rounding", min=0)
@@ -58,7 +58,7 @@ def images(
     from rlbench.benchmark.planning import plan_run
     from rlbench.cli import console
 
-    warn_without_networks(names, bf16, chosen)
+    warn_without_networks(names, half, chosen)
     plan = plan_run(
         fill(
             RunOptions,

@@ -1,4 +1,4 @@
-"""Which devices compute in bfloat16, and what is refused where they emulate it."""
+"""In what precision devices run networks by half, and what is refused where they emulate it."""
 
 from __future__ import annotations
 
@@ -13,9 +13,14 @@ import rlbench as api
 from rlbench.benchmark.runner import measure, read_cells
 from rlbench.cli.doctor import inspect_machine
 from rlbench.errors import OptionError
-from rlbench.system.bfloat16 import describe_bf16, emulation_reason
+from rlbench.system.half_precision import (
+    describe_half,
+    emulation_reason,
+    half_dtype,
+    require_half,
+)
 from tests.cli.runner import rlbench
-from tests.test_wrappers import bf16_plan
+from tests.test_wrappers import half_plan
 
 EMULATES = "the processor has no bfloat16 instructions and would emulate bfloat16"
 PROCESSORS = {  # architecture and capabilities, and those that compute in bfloat16
@@ -43,7 +48,7 @@ def use_processor(monkeypatch):
 def test_a_processor_is_judged_by_its_instructions(name, use_processor):
     flags = use_processor(name)
     assert emulation_reason("cpu") == ("" if flags else EMULATES)
-    assert all(flag in describe_bf16("cpu") for flag in flags)
+    assert all(flag in describe_half("cpu") for flag in flags)
 
 
 @pytest.mark.skipif(
@@ -69,6 +74,14 @@ def test_a_cuda_device_is_judged_by_its_capability(capability, reason, monkeypat
     found = emulation_reason("cuda:0")
     assert found.startswith(reason)
     assert bool(found) == bool(reason)
+    require_half("cuda:0")  # runs in float16, which no card emulates
+    text = f"--half runs in float16; train --bf16: {found or 'native bfloat16'}"
+    assert describe_half("cuda:0") == text
+
+
+def test_half_precision_is_float16_on_a_gpu_and_bfloat16_on_a_processor():
+    assert half_dtype(torch.device("cuda", 1)) == torch.float16
+    assert half_dtype("cpu") == torch.bfloat16
 
 
 @pytest.mark.parametrize("command", ["run", pytest.param("images", marks=pytest.mark.app("view"))])
@@ -77,11 +90,11 @@ def test_emulated_bfloat16_is_refused_before_anything_is_rendered(
 ):
     use_processor("Skylake-SP")
     out = ("--out", tmp_path / "r")
-    output = rlbench(command, "-m", "ours/A2", "--bf16", "--device", "cpu", *out, code=2)
-    assert output.startswith(f"error: --bf16 on device cpu: {EMULATES}")
-    assert "Run without --bf16" in output
+    output = rlbench(command, "-m", "ours/A2", "--half", "--device", "cpu", *out, code=2)
+    assert output.startswith(f"error: --half on device cpu: {EMULATES}")
+    assert "Run without --half" in output
     with pytest.raises(OptionError, match=EMULATES):
-        api.run(["ours/A2"], bf16=True, device="cpu", out=tmp_path / "r")
+        api.run(["ours/A2"], half=True, device="cpu", out=tmp_path / "r")
     assert not (tmp_path / "r").exists()
     assert not (tmp_path / "cache" / "clips").exists()
 
@@ -90,15 +103,15 @@ def test_a_worker_that_emulates_bfloat16_gives_the_reason_instead_of_a_time(
     use_processor, clip_folder, tmp_path
 ):
     use_processor("Zen 3")
-    plan = bf16_plan(clip_folder, "ours/A2")
+    plan = half_plan(clip_folder, "ours/A2")
     assert measure(plan, tmp_path / "r").failed == 1
     assert EMULATES in read_cells(plan, tmp_path / "r")["note"].iloc[0]
 
 
-def test_bf16_is_not_refused_where_nothing_runs_in_it(use_processor, clip_folder, tmp_path):
+def test_half_is_not_refused_where_nothing_runs_in_it(use_processor, clip_folder, tmp_path):
     use_processor("Zen 3")
     words = ("run", "-m", "mean", "--clips", clip_folder, "--spp", 1, "--times", "none")
-    rlbench(*words, "--bf16", "--out", tmp_path / "r")
+    rlbench(*words, "--half", "--out", tmp_path / "r")
 
 
 def test_training_in_emulated_bfloat16_is_warned_of(use_processor, tmp_path):
@@ -109,6 +122,7 @@ def test_training_in_emulated_bfloat16_is_warned_of(use_processor, tmp_path):
 
 
 def test_doctor_says_what_the_processor_can(use_processor):
-    for name, text in (("Zen 4", "native by avx512_bf16"), ("Zen 3", "--bf16 is refused")):
+    for name, text in (("Zen 4", "bfloat16 by avx512_bf16"), ("Zen 3", "--half is refused")):
         use_processor(name)
-        assert text in next(r.found for r in inspect_machine() if r.check == "processor bfloat16")
+        found = {result.check: result.found for result in inspect_machine()}
+        assert text in found["processor half precision"]

@@ -1,4 +1,4 @@
-"""Whether a device computes in bfloat16 by instructions of its own, or emulates it at a loss."""
+"""The half precision of a device, float16 or bfloat16, and whether bfloat16 is emulated there."""
 
 from __future__ import annotations
 
@@ -11,6 +11,18 @@ if TYPE_CHECKING:
 
 X86_FLAGS = ("avx512_bf16", "amx_bf16")  # either suffices; names of torch.cpu.get_capabilities
 ARM_FLAGS = ("bf16", "sve_bf16")
+
+
+def half_dtype(device: torch.device | str) -> torch.dtype:
+    """The dtype in which networks run in half precision on this device.
+
+    float16 keeps 11 bits of a value, bfloat16 8, so images in float16 are closer to those in
+    float32 (docs/how-to/use-half-precision.md). Every GPU that PyTorch supports has float16; few
+    processors have instructions for it, so a processor computes in bfloat16.
+    """
+    import torch
+
+    return torch.float16 if torch.device(device).type == "cuda" else torch.bfloat16
 
 
 def emulation_reason(device: torch.device | str) -> str:
@@ -29,22 +41,28 @@ def emulation_reason(device: torch.device | str) -> str:
     return ""
 
 
-def require_native_bf16(device: torch.device | str) -> None:
-    """Raise OptionError where bfloat16 would be emulated on this device."""
-    if reason := emulation_reason(device):
+def require_half(device: torch.device | str) -> None:
+    """Raise OptionError where half precision would be emulated on this device."""
+    import torch
+
+    if half_dtype(device) == torch.bfloat16 and (reason := emulation_reason(device)):
         raise OptionError(
-            f"--bf16 on device {device}: {reason}, which is slower than float32. Run without "
-            "--bf16, or on a processor with AVX512-BF16, AMX-BF16 or ARM BF16, or on a CUDA device "
-            "of compute capability 8.0 or above"
+            f"--half on device {device}: {reason}, which is slower than float32. Run without "
+            "--half, or on a processor with AVX512-BF16, AMX-BF16 or ARM BF16, or on a CUDA device"
         )
 
 
-def describe_bf16(device: torch.device | str) -> str:
-    """What a device can do in bfloat16, in words."""
-    if reason := emulation_reason(device):
-        return f"{reason}; --bf16 is refused"
+def describe_half(device: torch.device | str) -> str:
+    """What a device can do in half precision, in words."""
+    import torch
+
+    reason = emulation_reason(device)
+    if half_dtype(device) == torch.float16:
+        return f"--half runs in float16; train --bf16: {reason or 'native bfloat16'}"
+    if reason:
+        return f"{reason}; --half is refused"
     by = f" by {', '.join(_processor_flags())}" if str(device) == "cpu" else ""
-    return f"native{by}; --bf16 can be used"
+    return f"native bfloat16{by}; --half can be used"
 
 
 def _processor_flags() -> list[str]:
