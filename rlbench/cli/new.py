@@ -52,8 +52,8 @@ def new(
     check_writable(folder)
     if folder.exists():
         raise OptionError(f"{folder} exists already. Choose another NAME, or a folder with --out")
-    extras = {"metric": metric, "scene": scene}
-    templates = ["common", "learned" if training else "plain", *filter(extras.get, extras)]
+    names = ["common", "learned" if training else "plain"] + ["metric"] * metric
+    templates = [TEMPLATES / each for each in names] + ([_scene_template()] if scene else [])
     files = _fill_templates(templates, name)
     for path, text in files.items():
         write_text(folder / path, text)
@@ -84,12 +84,22 @@ def _check_name(name: str) -> None:
         )
 
 
-def _fill_templates(templates: list[str], name: str) -> dict[Path, str]:
+def _scene_template() -> Path:
+    """The folder of the app that renders. Raises OptionError where none is installed."""
+    from rlbench.registry import apps
+
+    folders: list[Path] = apps.load_parts("scene_template")
+    if not folders:
+        raise OptionError("--scene: no installed app renders scenes. Run without --scene")
+    return folders[0]
+
+
+def _fill_templates(templates: list[Path], name: str) -> dict[Path, str]:
     """The text of each file of the package, by its path in the package's folder."""
     files: dict[Path, str] = {}
     for template in templates:
-        for source in sorted((TEMPLATES / template).rglob("*.*")):
-            parts = source.relative_to(TEMPLATES / template).parts
+        for source in sorted(template.rglob("*.*")):
+            parts = source.relative_to(template).parts
             if source.suffix == ".pyc":  # pip compiles what it installs
                 continue
             path = Path(*(name if part == PACKAGE else part for part in parts))

@@ -43,6 +43,7 @@ class App:
     renderer: str = ""  # a rlbench.clips.rendering.PresetRenderer
     clock: str = ""  # makes a rlbench.benchmark.sample_clock.SampleClock
     machine_checks: str = ""  # yields the further results of `rlbench doctor`
+    scene_template: str = ""  # the folder, a Path, that `rlbench new --scene` fills
     cache_entries: str = ""  # takes the cache folder and yields CacheEntry for further files
 
 

@@ -12,6 +12,7 @@ from pathlib import Path
 import pytest
 from setuptools import build_meta
 
+from rlbench.apps.render import SCENE_TEMPLATE
 from rlbench.benchmark import results
 from rlbench.cli.new import TEMPLATES
 from tests.cli.runner import CHECKOUT, ENVIRONMENT, rlbench
@@ -19,7 +20,7 @@ from tests.procedural_folder import write_world
 from tests.test_api import GUARANTEED, PUBLIC
 
 ALL = ("--learned", "--metric", "--scene")
-SOURCES = sorted(TEMPLATES.rglob("*.py"))
+SOURCES = sorted(file for folder in (TEMPLATES, SCENE_TEMPLATE) for file in folder.rglob("*.py"))
 
 
 @pytest.fixture
@@ -101,7 +102,17 @@ def test_a_name_that_cannot_be_used_makes_nothing(tmp_path, monkeypatch, name, m
     assert [path.name for path in tmp_path.rglob("*") if path.name != "cache"] == ["taken"]
 
 
-@pytest.mark.parametrize("file", SOURCES, ids=lambda file: str(file.relative_to(TEMPLATES)))
+def test_a_scene_needs_an_app_that_renders_and_nothing_is_written_without_one(
+    monkeypatch, tmp_path
+):
+    monkeypatch.setattr("rlbench.registry.apps.load_apps", dict)
+    folder = tmp_path / "lonely"
+    output = rlbench("new", "lonely", "--scene", "--out", folder, code=2)
+    assert "--scene: no installed app renders scenes" in output
+    assert not folder.exists()
+
+
+@pytest.mark.parametrize("file", SOURCES, ids=lambda file: str(file.relative_to(CHECKOUT)))
 def test_templates_use_documented_names_alone(file):
     documented = {*GUARANTEED, *PUBLIC, ("metrics.metric", "Metric")}
     documented |= {("metrics.metric", name) for name in ("Comparison", "Tensor")}

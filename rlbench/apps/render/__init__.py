@@ -7,6 +7,7 @@ What a package with a scene imports, when it is first used:
     60.0
 """
 
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 import lazy_loader
@@ -24,6 +25,7 @@ __getattr__, __dir__, _ = lazy_loader.attach(
 )
 
 _HERE = "rlbench.apps.render"
+SCENE_TEMPLATE = Path(__file__).parent / "templates" / "scene"
 APP = App(
     commands={
         "render": CommandEntry(
@@ -37,5 +39,6 @@ APP = App(
     renderer=f"{_HERE}.jobs.render_clips:render_preset_clips",
     clock=f"{_HERE}.clock:TracerClock",
     machine_checks=f"{_HERE}.machine_checks:check_tracers",
+    scene_template=f"{_HERE}:SCENE_TEMPLATE",
     cache_entries=f"{_HERE}.cache_entries:find_entries",
 )
