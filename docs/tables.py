@@ -99,10 +99,10 @@ def _list_rows(patterns: Sequence[str]) -> list[list[str]]:
 
 
 def _format_training(card: ModelCard | None) -> str:
-    """How many frames weights were trained on, over all starts, and if they would gain by more."""
+    """How many frames weights were trained on, over all starts, and if validation still rose."""
     if card is None or not card.frames_trained:
         return ""
-    return f"{card.frames_trained:,}" + " (rising)" * (card.trend == "rising")
+    return f"{card.frames_trained:,}" + f" ({card.trend})" * bool(card.trend)
 
 
 def _list_scores(names: Sequence[str]) -> list[list[str]]:

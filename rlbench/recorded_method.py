@@ -6,6 +6,7 @@ its time.
 
 from __future__ import annotations
 
+import logging
 from dataclasses import dataclass, field
 from functools import partial
 
@@ -13,17 +14,14 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from rlbench.errors import RlbenchError
 from rlbench.frames import GBuffer, Samples
 from rlbench.method import Method, State
 from rlbench.ops.recording import CudaGraphs, HeldInputs, Kind, Recorder, Tape, kind_of
 from rlbench.wrappers import MethodWrapper
 
-__all__ = ["RecordedMethod", "RecordingError"]
+__all__ = ["RecordedMethod", "find_refusal"]
 
-
-class RecordingError(RlbenchError, RuntimeError):
-    """A stage of a method that cannot be recorded, because it asks for values."""
+_logger = logging.getLogger(__name__)
 
 
 @dataclass
@@ -42,15 +40,17 @@ class RecordedMethod(MethodWrapper[Method]):
 
     The first frame of each kind runs as it is, and is recorded when its image is done. A method
     that counts frames in its state, outside of tensors, is recorded again for each number
-    (`rlbench.ops.asking.next_age`).
+    (`rlbench.ops.asking.next_age`). A method that asks its tensors for values cannot be recorded:
+    it runs as it is, and `find_refusal` says why.
 
     Raises TypeError for a state of other parts than tensors, numbers, text, dataclasses, tuples,
-    lists and dicts, and RecordingError for a method that asks its tensors for values.
+    lists and dicts.
     """
 
     recorder: Recorder = field(default_factory=CudaGraphs)
     _tapes: dict[Kind, FrameTapes] = field(default_factory=dict, repr=False, compare=False)
     _planned: dict[Kind, Samples] = field(default_factory=dict, repr=False, compare=False)
+    _refusals: list[str] = field(default_factory=list, repr=False, compare=False)
 
     def plan(self, gbuffer: GBuffer, samples: Samples, state: State) -> Float[Tensor, "n 1 h w"]:
         """The method's density."""
@@ -72,7 +72,7 @@ class RecordedMethod(MethodWrapper[Method]):
         is_recorded = tapes is not None and drawn in tapes.denoisers
         if tapes is None or not is_recorded or self._skips_plan(tapes, gbuffer, state):
             returned = super().denoise(gbuffer, samples, state)
-            if not is_recorded and not torch.is_grad_enabled():
+            if not (is_recorded or self._refusals or torch.is_grad_enabled()):
                 self._try_to_record(gbuffer, samples, state)
             self._planned.clear()
             return returned
@@ -98,11 +98,11 @@ class RecordedMethod(MethodWrapper[Method]):
         try:
             self._record(gbuffer, samples, state)
         except RuntimeError as error:
-            raise RecordingError(
-                f"its frames cannot be recorded: {str(error).partition(chr(10))[0]}. rlbench check "
-                'finds the line that asks; with Traits(eager_reason="...") the method runs without '
-                "recordings, as all do with --backend eager"
-            ) from error
+            self._refusals.append(
+                f"ran eagerly, as its frames cannot be recorded: {str(error).partition(chr(10))[0]}"
+                '. rlbench check finds the line that asks; Traits(eager_reason="...") declares it'
+            )
+            _logger.warning("the method %s", self._refusals[0])
 
     def _record(self, gbuffer: GBuffer, samples: Samples, state: State) -> None:
         """Record the stages that this frame ran, in their order, on the same held objects."""
@@ -119,3 +119,12 @@ class RecordedMethod(MethodWrapper[Method]):
         denoise = partial(self.method.denoise, frame, seen, before)
         tapes.denoisers[drawn] = Tape(recorder, denoise)
         self._tapes[kind_of((gbuffer, state))] = tapes
+
+
+def find_refusal(method: Method) -> str:
+    """Why a method ran eagerly in spite of its backend, or an empty string."""
+    while isinstance(method, MethodWrapper):
+        if isinstance(method, RecordedMethod) and method._refusals:
+            return method._refusals[0]
+        method = method.method
+    return ""

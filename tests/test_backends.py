@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -30,7 +31,7 @@ from rlbench.method import Method
 from rlbench.ops.recording import CudaGraphs, can_record
 from rlbench.ops.unet import FeatureUNet, UNet
 from rlbench.ops.unet_widths import FAST_WIDTHS
-from rlbench.recorded_method import RecordedMethod, RecordingError
+from rlbench.recorded_method import find_refusal
 from rlbench.run import run_clip
 from rlbench.wrappers import HalfPrecision, MethodWrapper
 from tests.conftest import write_plugin
@@ -161,12 +162,32 @@ def test_graphs_are_chosen_where_a_small_one_is_replayed(recorder, device, expec
         assert select_backend("auto", torch.device(device)) == ("graph" if expected else EAGER)
 
 
-def test_a_method_that_asks_is_named_when_it_is_recorded(tmp_path):
+@pytest.fixture
+def asking(tmp_path, monkeypatch):
+    """The backend `graph`, recorded on the processor, and a plugin that asks for a value."""
+    monkeypatch.setitem(backends.RECORDED, "graph", Tapes)
+    monkeypatch.setattr(backends, "require_backend", lambda name, device: None)
     body = "return samples.mean.clamp(max=float(samples.mean.max())), None"
     registry.use_plugin(write_plugin(tmp_path / "asking.py", "asking", body=body))
-    recorded = RecordedMethod(registry.load_method("asking", CPU), Tapes())
-    with pytest.raises(RecordingError, match=r"recorded: aten.item.*eager_reason"):
-        list(run_clip(recorded, procedural_clip(0, Size(1, 16, 16), frames=1), 1.0))
+
+
+def test_a_method_that_asks_runs_eagerly_and_says_why(asking):
+    plain = registry.load_method("asking", CPU)
+    recorded = MethodWrapper(use_backend(plain, "graph", CPU))
+    clip = procedural_clip(0, Size(1, 16, 16), frames=3)
+    assert find_refusal(recorded) == ""
+    pairs = zip(run_clip(plain, clip, 1.0), run_clip(recorded, clip, 1.0), strict=True)
+    assert all(torch.equal(one.image, two.image) for one, two in pairs)
+    assert re.search(r"^ran eagerly.*recorded: aten.item.*eager_reason", find_refusal(recorded))
+
+
+def test_rows_of_a_method_that_asks_have_the_reason_as_their_note(asking, clip_folder, tmp_path):
+    plan = RunPlan(("asking", "mean"), (StoredSource(clip_folder),), spp=(1.0,), backend="graph")
+    measure(plan, tmp_path / "r")
+    table = results.read(tmp_path / "r").set_index("method")
+    scores = table[table["metric"] == "psnr"]
+    assert scores.loc["asking@graph", "note"].str.startswith("ran eagerly").all()
+    assert not scores.loc["mean@graph", "note"].astype(bool).any()
 
 
 def test_a_backend_that_cannot_be_used_is_an_error_that_says_why():

@@ -28,8 +28,8 @@ PAPER = "ours/paper"
 PANEL, LABEL_STEP = (5.4, 6.2), 0.27  # inches: width and height of a panel, between two labels
 DEPTH_DB = 5.0  # a panel reaches so far below its best end; lower starts are cut off
 CAPTION = (
-    "PSNR in dB, mean of 1 and 4 spp, on two generated scenes that no training saw. "
-    "One training of each row; crops of 128x128 pixels."
+    "PSNR in dB, mean of 1 and 4 spp, on the validation clips of each training, which differ: "
+    "compare the slopes of two rows, not their levels. Last training of each row, 128x128 pixels."
 )
 
 
@@ -74,7 +74,7 @@ def draw_trainings(trainings: Iterable[Training]) -> Figure:
         axes: Any = figure.subplots(1, len(panels), squeeze=False)[0]
         for panel, (title, chosen) in zip(axes, panels.items(), strict=True):
             panel.set_title(title, loc="left")
-            panel.set_xlabel("crops trained on")
+            panel.set_xlabel("thousand crops")
             _draw_panel(panel, chosen)
         axes[0].set_ylabel("validation PSNR [dB]")
         figure.supxlabel(CAPTION, fontsize=11, x=0.01, ha="left")
@@ -89,8 +89,8 @@ def _draw_panel(axes: Axes, trainings: list[Training]) -> None:
     for training in trainings:
         style = styles[training.name]
         axes.plot(
-            training.crops, training.psnr, color=style.color, ls=style.dash, lw=1.8,
-            marker=style.marker, mfc=style.face, mec=style.edge, ms=6,
+            [crops / 1e3 for crops in training.crops], training.psnr, color=style.color,
+            ls=style.dash, lw=1.8, marker=style.marker, mfc=style.face, mec=style.edge, ms=6,
         )  # fmt: skip
     _write_names(axes, ends, styles)
 

@@ -57,8 +57,9 @@ from rlbench.benchmark.timing import (
 )
 from rlbench.clips.procedural.folder import QUICK_PREFIX, QUICK_REMARK
 from rlbench.errors import OptionError
-from rlbench.method import config_json
+from rlbench.method import Method, config_json
 from rlbench.parallel.executor import LOCAL, Executor, JobResult, ProgressCallback, Resources
+from rlbench.recorded_method import find_refusal
 from rlbench.registry.near_names import unknown_name
 from rlbench.run import run_clip
 from rlbench.system.folder_lock import locked_folder
@@ -325,14 +326,14 @@ class CellRunner:
         method = self.loader.method(cell)
         clip = self.truths.open(self.loader.clip(cell, buffers_of_truth(self.metrics)))
         template = replace(self.templates[cell.key], config=config_json(method))
-        remarks, rows, frames = self._remarks(cell), [], []
+        rows, frames = [], []
         max_samples = samples_at_cap(cell.traits, cell.pool_spp)
         pixels = torch.zeros(max_samples + 1, dtype=torch.long)
         results = run_clip(method, clip, cell.spp)
         for result, scored in score_frames(
             template, self.metrics, results, cell.header, clip.ground_truth, max_samples
         ):
-            rows += [replace(row, note=row.note or remarks) for row in scored]
+            rows += [replace(row, note=row.note or self._remarks(cell, method)) for row in scored]
             pixels = add_counts(pixels, result.samples.counts)
             frames += [KeptFrame.of(result)] if self.keep_images else []
         if cell.traits.temporal:
@@ -368,13 +369,15 @@ class CellRunner:
         published = timings.published_inference(cell)
         return timing_rows(row, timings.timing(cell), timings.cost(cell), published)
 
-    def _remarks(self, cell: Cell) -> str:
+    def _remarks(self, cell: Cell, method: Method) -> str:
         """What to know of all scores of a cell; empty for an ordinary test."""
         remarks = []
         if cell.is_trained_on_clip:
             remarks.append(f"no test: its weights were trained on {cell.header.name}")
         if any(name.startswith(QUICK_PREFIX) for name in cell.training_clips):
             remarks.append(QUICK_REMARK)
+        if refusal := find_refusal(method):
+            remarks.append(refusal)
         here = latency.device_name(self.plan.device)
         if here != cell.key.device:  # this worker is another machine than the rows name
             remarks.append(f"scored on {here}")
