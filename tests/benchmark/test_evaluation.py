@@ -165,7 +165,7 @@ def test_an_image_that_is_not_finite_scores_as_in_the_run_with_its_remark(
 ):
     body = "return samples.mean * float('nan'), None"
     registry.use_plugin(write_plugin(tmp_path / "nan.py", "nan", body=body))
-    monkeypatch.setattr(CellRunner, "_remarks", lambda self, cell: "no test")
+    monkeypatch.setattr(CellRunner, "_remarks", lambda *_: "no test")
     keep(run_plan(clip_folder, "nan"), tmp_path / "r")
     score(tmp_path / "r", clip_folder, "nonfinite", "psnr")
     rows = table.read(tmp_path / "r" / "evaluated")
