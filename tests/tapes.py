@@ -55,7 +55,8 @@ class Tape(TorchDispatchMode):
 
     def replay(self) -> None:
         self.replays += 1
-        with torch._C._AutoDispatchBelowAutograd():
+        # autocast has chosen the dtypes already
+        with torch._C._AutoDispatchBelowAutograd(), torch.autocast("cpu", enabled=False):
             for function, args, kwargs, result in self.operations:
                 again = function(*args, **kwargs)
                 for old, new in zip(*map(tensors_of, (result, again)), strict=True):

@@ -2,19 +2,28 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+from statistics import fmean
+
 import pytest
 import torch
 
 from rlbench import registry
 from rlbench.backends import use_backend
+from rlbench.checks.stress import bad_pixel, budgets, long_runs
+from rlbench.checks.stress.section import load_stressed_method
 from rlbench.clips.in_memory import InMemoryClip
 from rlbench.clips.procedural.clip import procedural_clip
 from rlbench.frames import Clip, GBuffer, Reference, Size, StoredPool
+from rlbench.metrics import psnr
 from rlbench.ops.recording import CudaGraphs
+from rlbench.recorded_method import RecordedMethod
 from rlbench.run import run_clip
 from rlbench.sampling import allocate_counts
+from rlbench.system.half_precision import half_dtype
 from rlbench.training import TrainingConfig
 from rlbench.training.train_state import TrainState
+from rlbench.wrappers import HalfPrecision
 
 pytestmark = pytest.mark.skipif(not torch.cuda.is_available(), reason="needs a GPU")
 GPU = torch.device("cuda")
@@ -41,6 +50,10 @@ def on_gpu(clip: Clip) -> InMemoryClip:
     return InMemoryClip(clip.name, clip.scene, clip.digest, frames)
 
 
+def references(clip: Clip) -> list[torch.Tensor]:
+    return [frame.reference.mean for frame in clip]
+
+
 @pytest.mark.parametrize(
     ("backend", "name"), [*(("graph", name) for name in ROWS), *(("fused", n) for n in FUSED)]
 )
@@ -54,6 +67,31 @@ def test_recorded_frames_have_the_counts_and_images_of_plain_ones(backend, name)
         for one, other in pairs:
             assert torch.equal(one.samples.counts, other.samples.counts)
             torch.testing.assert_close(other.image, one.image, rtol=1e-4, atol=1e-4)
+
+
+@pytest.mark.parametrize("name", [n for n in ROWS if registry.get_variant(n).learned])
+def test_recorded_frames_in_half_precision_have_the_psnr_of_plain_ones(name):
+    spp = registry.get_variant(name).traits.nearest_spp(1.0)
+    clip = on_gpu(procedural_clip(3, Size(1, 96, 160), frames=4))
+    plain, recorded = (registry.load_method(name, GPU) for _ in range(2))
+    scores = []
+    for each in (plain, use_backend(recorded, "graph", GPU)):
+        method = HalfPrecision(each, GPU, half_dtype(GPU))
+        images = [result.image for _ in range(2) for result in run_clip(method, clip, spp)]
+        scores.append([psnr(*pair) for pair in zip(images, 2 * references(clip), strict=True)])
+    assert fmean(scores[1]) == pytest.approx(fmean(scores[0]), abs=0.01)
+
+
+@pytest.mark.parametrize("name", FUSED)
+@pytest.mark.parametrize("section", [bad_pixel, budgets, long_runs], ids=lambda s: s.__name__)
+def test_recorded_rows_have_the_stress_verdicts_of_plain_ones(section, name):
+    stressed = load_stressed_method(name, GPU)
+    recorded = replace(stressed, method=RecordedMethod(stressed.method))
+    expected, found = (
+        {result.check: result.verdict for result in section.SECTION.run(each, True)}
+        for each in (stressed, recorded)
+    )
+    assert found == expected
 
 
 def test_intels_library_runs_on_the_card_where_it_can():

@@ -14,7 +14,9 @@ from rlbench import registry
 from rlbench.benchmark.listing import list_installed
 from rlbench.checks.conformance import MethodUnderTest, run_check
 from rlbench.checks.frame_edits import edit_radiance
+from rlbench.checks.stress import bad_pixel
 from rlbench.checks.stress.bad_pixel import plant_in_buffer, plant_in_samples
+from rlbench.checks.stress.section import load_stressed_method
 from rlbench.clips.procedural.clip import procedural_clip
 from rlbench.frames import Frame, GBuffer, Size, StoredPool
 from rlbench.method import Method
@@ -26,6 +28,7 @@ from rlbench.recorded_method import RecordedMethod
 from rlbench.run import run_frame
 from rlbench.sampling import BudgetError, _divide, allocate_counts
 from rlbench.sanitize import sanitize_frame
+from rlbench.wrappers import HalfPrecision
 from tests.conftest import install_plugin
 from tests.tapes import Tapes, plain, tensors_of, unasked
 
@@ -130,6 +133,31 @@ def test_recorded_stages_return_what_the_method_returns_for_other_frames(name):
     kinds = len(recorder.tapes) // 2
     assert kinds <= 2
     assert sum(tape.replays for tape in recorder.tapes) == 2 * (8 - kinds)
+
+
+def test_recorded_stages_in_half_precision_return_what_the_method_returns_there():
+    """The wrapper is outside: it casts for both, and what is recorded includes the casts."""
+    method = registry.load_method("accumulate/tuned", CPU)
+    recorded, halved = (
+        HalfPrecision(each, CPU, torch.bfloat16)
+        for each in (RecordedMethod(method, Tapes()), method)
+    )
+    for counts, others, image, expected in run_beside(recorded, halved, hard_frames(), 1.0):
+        assert (counts != others).float().mean() < 0.01
+        torch.testing.assert_close(image, expected, rtol=1e-3, atol=1e-4)
+
+
+@pytest.mark.parametrize("name", ["svgf", pytest.param("ours", marks=pytest.mark.slow)])
+def test_recorded_rows_have_the_stress_verdicts_of_plain_ones(name):
+    stressed = load_stressed_method(name, CPU)
+    recorder = Tapes()
+    recorded = replace(stressed, method=RecordedMethod(stressed.method, recorder))
+    expected, found = (
+        {result.check: result.verdict for result in bad_pixel.SECTION.run(each, True)}
+        for each in (stressed, recorded)
+    )
+    assert found == expected
+    assert sum(tape.replays for tape in recorder.tapes)
 
 
 class Reruns:
