@@ -51,7 +51,7 @@ def list_(
 
 
 def print_installed(installed: dict[str, list[dict[str, Any]]]) -> None:
-    """Print one table for each kind, and below it the plugins that cannot be imported."""
+    """Print one table for each kind, and below it why rows are not recordable or plugins broken."""
     from rich.console import Console
     from rich.table import Table
 
@@ -69,6 +69,8 @@ def print_installed(installed: dict[str, list[dict[str, Any]]]) -> None:
             table.add_row(*(_format_value(row[column]) for column in columns))
         console.print(table)
         for row in rows:
+            if reason := row.get("eager_reason"):
+                console.print(f"{row['name']} is not recordable: {reason}", markup=False)
             if "broken" in row:
                 text = f"{row['name']} (from {row['from']}) cannot be imported: {row['broken']}"
                 console.print(text, style="red", markup=False)
