@@ -38,6 +38,7 @@ from rlbench.method import Method, State
 from rlbench.ops.nested_tensors import iterate_parts, iterate_tensors
 from rlbench.parallel.executor import LOCAL, JobResult, ProgressCallback
 from rlbench.run import run_clip
+from rlbench.system import provenance
 from rlbench.system.half_precision import half_dtype
 from rlbench.wrappers import MethodWrapper
 
@@ -260,7 +261,8 @@ def write_speed(table: pd.DataFrame, device: torch.device, out: Path) -> list[Pa
     out.mkdir(parents=True, exist_ok=True)
     rows, page = out / "speed.csv", out / "speed.md"
     table.to_csv(rows, index=False)
-    page.write_text(speed_page(table, device_name(device)), encoding="utf-8")
+    described = f"{device_name(device)}, {provenance.compute_software(device.type)}"
+    page.write_text(speed_page(table, described), encoding="utf-8")
     return [rows, page]
 
 

@@ -78,7 +78,7 @@ def _check_devices() -> Iterator[CheckResult]:
     yield passed("processor half precision", describe_half("cpu"))
     yield _check_openvino()
     if torch.cuda.is_available():
-        yield passed("cuda", provenance.machine().gpu)
+        yield passed("cuda", f"{provenance.machine().gpu}, {provenance.compute_software('cuda')}")
         yield passed("cuda half precision", describe_half("cuda"))
     else:
         yield not_applicable("cuda", "no device; everything runs on the processor")

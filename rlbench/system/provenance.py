@@ -50,6 +50,21 @@ def package_versions(packages: Iterable[str]) -> str:
     return ", ".join(f"{name} {_version(name)}" for name in packages)
 
 
+def compute_software(device_type: str) -> str:
+    """The version of PyTorch and, for "cuda", of CUDA and the card's driver: they change times.
+
+    >>> compute_software("cpu").split()[0]
+    'torch'
+    """
+    parts = [package_versions(["torch"])]
+    if device_type == "cuda":
+        import torch
+
+        driver = _run("nvidia-smi", "--query-gpu=driver_version", "--format=csv,noheader")
+        parts += [f"CUDA {torch.version.cuda}", f"driver {driver.partition(chr(10))[0] or '?'}"]
+    return ", ".join(parts)
+
+
 def missing_packages(packages: Iterable[str]) -> list[str]:
     """The packages that are not installed."""
     return [name for name in packages if _version(name) == "none"]
@@ -92,12 +107,15 @@ def _version(package: str) -> str:
 
 def _git(folder: Path, *arguments: str) -> str:
     """The output of a git command; empty if it fails or git is not installed."""
+    return _run("git", "-C", str(folder), *arguments)
+
+
+def _run(*words: str) -> str:
+    """The output of a command; empty if it fails or is not installed."""
     # a git hook sets GIT_DIR and others, which would point to another repository
     environment = {k: v for k, v in os.environ.items() if not k.startswith("GIT_")}
     try:
-        process = subprocess.run(
-            ["git", "-C", str(folder), *arguments], capture_output=True, text=True, env=environment
-        )
+        process = subprocess.run(words, capture_output=True, text=True, env=environment)
     except FileNotFoundError:
         return ""
     return process.stdout.strip() if process.returncode == 0 else ""

@@ -3,14 +3,17 @@
 from __future__ import annotations
 
 import importlib.metadata
+import os
 import platform
 import subprocess
 from pathlib import Path
 
 import pytest
+import torch
 
 from rlbench.system.provenance import (
     commit,
+    compute_software,
     machine,
     missing_packages,
     package_versions,
@@ -51,6 +54,16 @@ def test_versions_are_those_of_the_installed_packages():
     assert versions() == {"python": platform.python_version()} | {
         name: importlib.metadata.version(name) for name in ("torch", "mitsuba", "rlbench")
     }
+
+
+def test_the_software_of_a_gpu_includes_its_driver(monkeypatch, tmp_path):
+    program = tmp_path / "nvidia-smi"
+    program.write_text("#!/bin/sh\necho 580.95.05\necho 580.95.05\n")
+    program.chmod(0o755)
+    monkeypatch.setenv("PATH", str(tmp_path), prepend=os.pathsep)
+    monkeypatch.setattr(torch.version, "cuda", "13.0")
+    found = compute_software("cuda")
+    assert found == f"{compute_software('cpu')}, CUDA 13.0, driver 580.95.05"
 
 
 def test_the_machine_is_described():
