@@ -27,6 +27,10 @@ def sequence(seed: int) -> InMemoryClip:
     return procedural_clip(seed, Size(1, 32, 32), frames=2)
 
 
+def parameters(network: nn.Module) -> torch.Tensor:
+    return torch.cat([each.detach().clone().flatten() for each in network.parameters()])
+
+
 @pytest.mark.parametrize(
     "name",
     [
@@ -49,6 +53,21 @@ def test_recorded_steps_train_as_plain_ones_do(name):
     for key, tensor in plain.items():  # Adam takes a whole step where a gradient is rounding
         torch.testing.assert_close(recorded[key], tensor, rtol=1e-3, atol=1e-3)
     assert {tape.replays for tape in recorder.tapes if tape.replays} == {1, 2}
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", ["oidn/retrained", "accumulate/tuned", "ours/A2"])
+def test_after_fifty_steps_recorded_weights_differ_by_a_hundredth_of_their_way(name):
+    first = parameters(registry.training_task(name, "cpu").networks)
+    after = []
+    for each in (None, Tapes()):
+        state = TrainState(registry.training_task(name, "cpu"), TrainingConfig(), "cpu", each)
+        for seed in range(25):  # of two frames
+            state.train_sequence(sequence(seed), 1.0 + seed % 2, 1.0, 0.9)
+        assert state.steps == 50
+        after.append(parameters(state.networks))
+    plain, recorded = after
+    assert (recorded - plain).norm() < 0.01 * (plain - first).norm()
 
 
 def test_a_fault_in_a_recorded_step_is_found_later_and_changes_no_weight():
