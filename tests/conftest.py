@@ -26,7 +26,7 @@ for library in wheel_files():
 
 CACHES = itertools.count()
 
-# a busy machine is no failure
+# a busy machine is not a failure
 settings.register_profile("patient", deadline=None, suppress_health_check=[HealthCheck.too_slow])
 settings.load_profile("patient")
 

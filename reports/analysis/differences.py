@@ -108,7 +108,7 @@ def holm(p_values: Sequence[float]) -> NDArray[np.float64]:
     """Adjusted p-values [n] of Holm 1979 (A Simple Sequentially Rejective Multiple Test Procedure).
 
     The smallest is multiplied by n, the next by n - 1, and so on; none is below an earlier one, nor
-    above 1. A nan is no comparison and stays nan.
+    above 1. A nan is not a comparison and stays nan.
 
     >>> holm([0.01, 0.04, 0.03]).round(4).tolist()
     [0.03, 0.06, 0.06]

@@ -64,7 +64,7 @@ class Table:
     header: tuple[str, ...]
     rows: Rows
     note: str = ""  # how to read it; a page prints it once for all tables that share it
-    beside: str = ""  # what follows a number in a cell, if that is no interval of the number
+    beside: str = ""  # what follows a number in a cell, if that is not an interval of the number
 
 
 def format_difference(record: Record) -> str:

@@ -33,7 +33,7 @@ class CellKey:
     seed: int  # of the sample order and of rounding
     device: str  # model name
     preset: str = ""  # of the clip; empty for a clip without one
-    first_frames_only: bool = False  # was the clip cut short by --limit-frames?
+    first_frames_only: bool = False  # True if --limit-frames cut the clip short
     metric: str = ""  # of a cell that `rlbench evaluate` scored; empty for all metrics of a run
 
     @property
@@ -60,7 +60,7 @@ class CellId:
 
     @property
     def is_failed(self) -> bool:
-        """Did an error stop the cell, so that it holds no numbers?"""
+        """True if an error stopped the cell, so that it holds no numbers."""
         return self.content_hash == FAILED
 
     @property

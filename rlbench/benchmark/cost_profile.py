@@ -134,7 +134,7 @@ def write_profile(
 
 
 def _check(name: str, document: Mapping[str, Any]) -> None:
-    """Raise CostError for missing and unknown keys, and for numbers that are no times or sizes."""
+    """Raise CostError for missing and unknown keys, and for numbers that are not times or sizes."""
     required = ["default_ms"]
     if "inference_ms" in document or {"height", "width"} & document.keys():
         required += ["height", "width"]

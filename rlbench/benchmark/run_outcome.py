@@ -159,7 +159,7 @@ class NonFinite:
 
 @dataclass(frozen=True)
 class RunVerdict:
-    """Whether a run measured what it could. A cell that a method does not support is no failure.
+    """Whether a run measured what it could. A cell that a method does not support is not a failure.
 
     >>> print(RunVerdict((), (), has_numbers=True))
     passed: no cell failed, all images are finite

@@ -78,9 +78,9 @@ class Cell:
     clip: StoredSource
     method_name: str  # family or family/variant, the row name without its label
     variant: Variant
-    half: bool  # do its networks run in half precision?
+    half: bool  # True if its networks run in half precision
     backend: str  # that runs its networks
-    skip_tiles: bool  # are unchanged tiles kept from the last image?
+    skip_tiles: bool  # True if unchanged tiles are kept from the last image
     weights_file: Path | None  # None for random weights, and without networks
     training_clips: frozenset[str]  # names of the clips that the weights were trained on
 
@@ -106,7 +106,7 @@ class Cell:
 
     @property
     def is_trained_on_clip(self) -> bool:
-        """Were the method's weights trained on this clip, according to their card?"""
+        """True if the weights were trained on this clip, according to their card."""
         return self.header.name in self.training_clips
 
     @property

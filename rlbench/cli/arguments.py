@@ -64,7 +64,7 @@ class WeightsChoice:
 
 
 def text_parser(parse: Callable[[str], T]) -> Callable[[Any], T]:
-    """A parser that returns values which are no text, such as defaults, unchanged."""
+    """A parser that returns values which are not text, such as defaults, unchanged."""
 
     @wraps(parse)
     def convert(value: Any) -> T:
@@ -92,7 +92,8 @@ def parse_budgets(text: str) -> Budgets:
     budgets = Budgets(tuple(dict.fromkeys(_number(part) for part in split_names([text]))))
     if not budgets or not all(math.isfinite(spp) and spp > 0 for spp in budgets):
         raise typer.BadParameter(
-            f"'{text}' is no list of budgets. Give samples per pixel above 0, for example 0.5,1,2"
+            f"'{text}' is not a list of budgets. "
+            "Give samples per pixel above 0, for example 0.5,1,2"
         )
     return budgets
 
@@ -122,8 +123,8 @@ def parse_seeds(text: str) -> Seeds:
             numbers = range(int(first), int(end) if colon else int(first) + 1)
         if not numbers:
             raise typer.BadParameter(
-                f"'{text}' is no list of seeds. Give a list such as 3,7, or a range such as 0:48, "
-                "which excludes its end"
+                f"'{text}' is not a list of seeds. Give a list such as 3,7, or a range such as "
+                "0:48, which excludes its end"
             )
         seeds |= dict.fromkeys(numbers)
     return Seeds(tuple(seeds))
@@ -138,7 +139,7 @@ def parse_size(text: str) -> PixelSize:
     """
     match = re.fullmatch(r"([1-9]\d*)x([1-9]\d*)", text, re.ASCII)
     if not match:
-        raise typer.BadParameter(f"'{text}' is no size. Give WIDTHxHEIGHT, for example 320x192")
+        raise typer.BadParameter(f"'{text}' is not a size. Give WIDTHxHEIGHT, for example 320x192")
     return PixelSize(int(match[2]), int(match[1]))
 
 
@@ -164,7 +165,9 @@ def parse_crop(text: str) -> Crop:
     (16, 0, 64, 48)
     """
     if not re.fullmatch(r"\d+(,\d+){3}", text, re.ASCII):
-        raise typer.BadParameter(f"'{text}' is no part of a frame. Give X,Y,WIDTH,HEIGHT in pixels")
+        raise typer.BadParameter(
+            f"'{text}' is not a part of a frame. Give X,Y,WIDTH,HEIGHT in pixels"
+        )
     x, y, width, height = map(int, text.split(","))
     return Crop((x, y, width, height))
 
@@ -181,7 +184,7 @@ def parse_positive(text: str) -> float:
 def parse_time(text: str) -> float:
     """A finite number of at least 0."""
     if not 0 <= (number := _number(text)) < math.inf:
-        raise typer.BadParameter(f"'{text}' is no time. Give milliseconds, at least 0")
+        raise typer.BadParameter(f"'{text}' is not a time. Give milliseconds, at least 0")
     return number
 
 
@@ -220,7 +223,7 @@ def parse_age(text: str) -> float:
     """
     match = re.fullmatch(r"(\d+)([hdw])", text, re.ASCII)
     if not match:
-        raise typer.BadParameter(f"'{text}' is no age. Give hours, days or weeks: 12h, 30d, 2w")
+        raise typer.BadParameter(f"'{text}' is not an age. Give hours, days or weeks: 12h, 30d, 2w")
     return float(match[1]) * {"h": 3600, "d": 86_400, "w": 604_800}[match[2]]
 
 

@@ -1,4 +1,4 @@
-"""The command check: do methods keep the contract?"""
+"""The command check: whether methods keep the contract."""
 
 from __future__ import annotations
 

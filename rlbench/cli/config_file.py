@@ -23,7 +23,7 @@ LEFT_OUT = ("config", "allow_plugins", "out")
 def use(context: Any, file: Path | None) -> Path | None:
     """Take the options of a file as defaults of the command.
 
-    Raises OptionError for a file that is no TOML, and for keys that are no options.
+    Raises OptionError for a file that is not TOML, and for keys that are not options.
     """
     if file is None or context.resilient_parsing:
         return file

@@ -43,7 +43,7 @@ def exposure_of_frames(areas: Float[Array, "frames areas"]) -> float:
 def area_luminance(image: Float[Array, "h w 3"]) -> Float[Array, " areas"]:
     """Mean luminance of 8 x 8 areas of an image with linear radiance, float64.
 
-    Where a side is no multiple of 8, neighbouring areas overlap by a pixel.
+    Where a side is not a multiple of 8, neighbouring areas overlap by a pixel.
     """
     rgb = torch.from_numpy(np.asarray(image, np.float64)).movedim(-1, 0)
     areas = F.adaptive_avg_pool2d(luminance(rgb, REC709_LUMINANCE), AREAS)

@@ -175,7 +175,7 @@ def _check(path: Path, header: ExrHeader, names: Sequence[str], h: int, w: int) 
 
 
 class ExrHeaderError(RlbenchError, ValueError):
-    """A file that is no readable OpenEXR image; the message says why."""
+    """A file that is not a readable OpenEXR image; the message says why."""
 
 
 class DeepImageError(ExrHeaderError):

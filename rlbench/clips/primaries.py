@@ -36,7 +36,7 @@ def find_chromaticities(stored: Chromaticities | None, space: str) -> Chromatici
     found = stored or (None if space in NO_SPACE else OpenEXR.colorInteropIDToChromaticities(space))
     if found is None and space not in NO_SPACE:
         raise ValueError(
-            f"its colorInteropID is '{space}', which is no linear space with known primaries; "
+            f"its colorInteropID is '{space}', which is not a linear space with known primaries; "
             "convert it to linear Rec. 709"
         )
     if found is None or np.allclose(found, REC709, rtol=0, atol=TOLERANCE):

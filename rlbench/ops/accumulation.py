@@ -110,7 +110,7 @@ def is_cut(
 
     Channels are those of `surface_features`; `previous` is reprojected, and counts where `valid`.
     Blocks of 8 x 8 pixels, most of them valid, are compared by their means, so that noise of the
-    buffers is no cut. On clips without cuts at most 0.15 of the blocks differ, and at least 0.5
+    buffers is not a cut. On clips without cuts at most 0.15 of the blocks differ, and at least 0.5
     after a cut (docs/development.md).
     """
     weight = pad(valid.to(current.dtype), CUT_BLOCK)

@@ -14,7 +14,7 @@ from rlbench.ops.transfer import log_forward
 
 __all__ = ["find_static_pixels", "repair_spp", "reproject_radiance", "weigh_by_similarity"]
 
-MAX_SPP = 1e4  # accumulated samples; a larger number is no count
+MAX_SPP = 1e4  # accumulated samples; a larger number is not a count
 MIN_WEIGHT = 1e-3  # samples; a smaller weight is that of another surface, and underflow decides
 STATIC_MOTION = 1e-3  # pixels; a smaller motion counts as none
 SAME_SURFACE = 0.5  # least similarity, in [0, 1], of one surface in two frames

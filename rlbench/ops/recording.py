@@ -3,7 +3,7 @@
 A GPU waits for the program that queues hundreds of small launches. A recording of them, a CUDA
 graph, is queued in one. It reads and writes the same memory whenever it runs: inputs are copied to
 where the recorded operations read, and results are copied from where these write. What is recorded
-once holds for all inputs of its kind: equal shapes, types, and leaves that are no tensors. So a
+once holds for all inputs of its kind: equal shapes, types, and leaves that are not tensors. So a
 recorded function asks its tensors nothing (`rlbench.ops.asking`).
 """
 

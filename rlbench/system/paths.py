@@ -96,7 +96,7 @@ def publish_folder(unfinished: Path, folder: Path) -> None:
 def open_to_append(path: Path) -> BinaryIO:
     """A file to append to, which is created, as is its folder; never one elsewhere, by a link.
 
-    Raises WriteError for a link, for what is no regular file, and where the folder takes no file.
+    Raises WriteError for a link, for another irregular file, and where the folder takes no file.
     """
     flags = os.O_WRONLY | os.O_APPEND | os.O_CREAT | os.O_NOFOLLOW | os.O_NONBLOCK
     with _explained(path):

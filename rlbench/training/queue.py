@@ -101,8 +101,8 @@ def read_queue(file: Path, known: Sequence[str]) -> tuple[list[Entry], int | Non
     defaults, tables = document.pop("queue", {}), document.pop("training", [])
     if document or not tables or not all(isinstance(table, dict) for table in [defaults, *tables]):
         raise QueueError(
-            f"{file} is no queue: write one table [queue] for defaults, and a table [[training]] "
-            "for each training, and nothing else"
+            f"{file} is not a queue: write one table [queue] for defaults, and a table "
+            "[[training]] for each training, and nothing else"
         )
     _check_keys(f"{file}, [queue]", defaults, ["at_once", *known])
     at_once = defaults.pop("at_once", None)

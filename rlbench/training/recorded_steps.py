@@ -28,7 +28,7 @@ class RecordedSteps:
     """The steps of a sequence, as by `steps`.
 
     The first sequence of each kind runs as it is, and is recorded behind its last step. Questions
-    of recorded frames are not answered, so an invalid density is no error: it counts as 0.
+    of recorded frames are not answered, so an invalid density is not an error: it counts as 0.
     """
 
     def __init__(self, steps: Steps, weights: Sequence[nn.Parameter], recorder: Recorder) -> None:

@@ -78,7 +78,7 @@ REFUSED = {
     ),
     arguments.parse_size: (
         ("320", "0x10", "10x0", "axb", "10x10x10", "-1x2"),
-        "is no size. Give WIDTHxHEIGHT",
+        "is not a size. Give WIDTHxHEIGHT",
     ),
     arguments.parse_positive: (("0", "-1", "nan", "inf", "much"), "not a number above 0"),
     arguments.parse_definition: (("a", "=b"), "is no NAME=VALUE"),

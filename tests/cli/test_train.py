@@ -286,7 +286,7 @@ def test_one_training_at_a_time_runs_on_a_gpu_unless_the_file_says_more(
     [
         ("out = 'runs'", "no option 'out'"),
         ("bf16 = 1", "bf16 = 1 is not true or false"),
-        ("train_spp = 'lots'", "Invalid value for '--train-spp': 'lots' is no list of budgets"),
+        ("train_spp = 'lots'", "Invalid value for '--train-spp': 'lots' is not a list of budgets"),
         ("[[training]]\nmethod = 'nttas'", "Did you mean 'ntas'?"),
         ("[[training]]\nmethod = 'mean'", "nothing to train: mean has"),
         ("[[training]]\nmethod = 'oidn/*'", "'oidn/*' is a pattern"),

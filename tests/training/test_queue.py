@@ -62,8 +62,8 @@ def test_an_entry_comes_after_the_one_that_it_starts_from(tmp_path):
         (ROWS + "after = 3", "name and after are names in quotes"),
         ("[queue]\nat_once = 0\n" + ROWS, "at_once = 0 is not a number of processes"),
         ("[[training]]\nframes = 3", "training 1: write its method"),
-        ("[queue]\nframes = 3", "is no queue: write one table"),
-        ("[quueue]\n" + ROWS, "is no queue: write one table"),
+        ("[queue]\nframes = 3", "is not a queue: write one table"),
+        ("[quueue]\n" + ROWS, "is not a queue: write one table"),
         ("frames", "the queue cannot be read: .* is not TOML"),
     ],
 )

@@ -82,7 +82,7 @@ class RegressionReport:
 
     @property
     def has_passed(self) -> bool:
-        """Was anything compared, with nothing worse, missing or slower than its gate?"""
+        """True if something was compared, and nothing is worse, missing or slower than its gate."""
         failed = any(diff.verdict in FAILING for diff in self.diffs)
         slower = any(result.verdict == SLOWER for result in self.speed)
         return not failed and not slower and not self.is_empty

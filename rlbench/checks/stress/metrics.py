@@ -2,7 +2,7 @@
 
 Each metric scores pairs of an image and its reference: equal, slightly noisy, black, negative,
 overflowing, and with one or all pixels NaN. A broken image must never score as well as an equal
-one. A score that is NaN is no wrong answer, but degrades the verdict, since the row has no number.
+one. A score that is NaN is not a wrong answer, but degrades the verdict: the row has no number.
 """
 
 from __future__ import annotations

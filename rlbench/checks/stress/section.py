@@ -166,7 +166,7 @@ def select_sections(names: Iterable[str] = ()) -> list[str]:
 
 
 def load_section(name: str) -> MethodSection | SuiteSection:
-    """Import a section. Raises PluginError for an object that is no section."""
+    """Import a section. Raises PluginError for an object that is not a section."""
     target = list_sections()[name]
     section = registry.resolve(target)
     if not isinstance(section, MethodSection | SuiteSection):

@@ -219,8 +219,8 @@ def _find_rest(mean: Tensor, parts: Mapping[str, Tensor]) -> Tensor | None:
     if excess > MAX_EXCESS:
         raise DenoiseError(
             f"the passes {', '.join(parts)} have {excess:.0%} more light than the image, so they "
-            "are no parts of it. Two may be the same light, or a light may need its colour: --also "
-            "'LIGHT*COLOUR'"
+            "are not parts of it. Two may be the same light, or a light may need its colour: "
+            "--also 'LIGHT*COLOUR'"
         )
     is_rounding = difference <= ROUNDING * (mean + ROUNDING * mean.mean())
     return None if is_rounding.all() else difference.clamp_min(0)

@@ -138,7 +138,8 @@ def _read_file(path: Path, name: str) -> Sequence[Offset]:
             x, y = (float(word) for word in words)
         except ValueError as error:
             raise SourceError(
-                f"{path}, line {number}: '{line[:40]}' is no offset; expected x and y, in pixels"
+                f"{path}, line {number}: '{line[:40]}' is not an offset; "
+                "expected x and y, in pixels"
             ) from error
         if not max(abs(x), abs(y)) <= MAX_OFFSET:
             raise SourceError(

@@ -199,7 +199,7 @@ class Layout:
 
     @property
     def other_files(self) -> tuple[str, ...]:
-        """Files below the dump that are no images."""
+        """Files below the dump that are not images."""
         cameras = (image.camera for image in (self.normal, self.motion) if image)
         offsets = self.camera.files if self.camera else ()
         return tuple(dict.fromkeys(name for name in (*cameras, *offsets) if name))

@@ -20,8 +20,8 @@ MAX_PACKING = 500  # times that the images of a clip are smaller on the disk, if
 def list_files(root: Path) -> list[Path]:
     """Regular files at and below `root`, sorted. Linked folders are not entered.
 
-    Raises SourceError where `root` is no folder, a folder in it cannot be read, a link leads out of
-    it, or it has too many files.
+    Raises SourceError where `root` is not a folder, a folder in it cannot be read, a link leads
+    out of it, or it has too many files.
     """
     return [path for path in list_entries(root) if path.is_file()]
 

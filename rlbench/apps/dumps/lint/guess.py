@@ -339,7 +339,7 @@ def _read_motion(arrays: ClipArrays, tables: Tables) -> dict[str, str]:
         tables["motion"]["offset"] = 0.5
         shifted = {**arrays.gbuffer, "motion": arrays.gbuffer["motion"] - 0.5}
         arrays = ClipArrays(arrays.header, shifted, arrays.pools, arrays.half_a, arrays.half_b)
-        reasons.append("likely: 0.5 is no motion")
+        reasons.append("likely: 0.5 is not motion")
     shares = dict(rank_conventions(arrays))
     best = next(iter(shares))
     if shares[best] < MIN_EXPLAINED:

@@ -93,8 +93,8 @@ def parse_rooms(text: str, folder: Path) -> list[Room]:
         kind, _, seed = item.strip().partition(":")
         if kind.lower() not in kinds or not seed.isascii() or not seed.isdigit():
             raise OptionError(
-                f"--rooms: {item.strip()!r} is no room. Write Kind:seed, such as Kitchen:2; kinds "
-                f"are {', '.join(KINDS)}, seeds are whole numbers from 0"
+                f"--rooms: {item.strip()!r} is not a room. Write Kind:seed, such as Kitchen:2; "
+                f"kinds are {', '.join(KINDS)}, seeds are whole numbers from 0"
             )
         rooms.append(Room(kinds[kind.lower()], int(seed), folder))
     return rooms

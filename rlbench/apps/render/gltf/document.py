@@ -43,7 +43,7 @@ class Document:
     def __init__(self, file: Path, skip_missing: bool = False) -> None:
         """Open a file; with `skip_missing`, images whose files are missing are grey.
 
-        Raises SceneError for a file that is no glTF 2.0, and for one that refers to missing files.
+        Raises SceneError for a file that is not glTF 2.0, and for one that refers to missing files.
         """
         self.file = file
         self.notes: Counter[str] = Counter()

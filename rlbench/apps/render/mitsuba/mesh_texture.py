@@ -2,7 +2,7 @@
 
 Mitsuba's bitmaps know one set of coordinates, and nothing multiplies two textures. `uv` and `color`
 name vertex attributes of the mesh, of three channels; those for `eval_1`, such as opacity, of one.
-Either may be left out. It is no radiance: next-event estimation takes attributes of a mesh for 0.
+Either may be left out. It is not radiance: next-event estimation takes attributes of a mesh for 0.
 """
 
 from __future__ import annotations

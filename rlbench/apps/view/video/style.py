@@ -64,7 +64,7 @@ class VideoStyle:
         x, y, w, h = self.crop or (0, 0, width, height)
         if w < 1 or h < 1 or x + w > width or y + h > height:
             raise VideoError(
-                f"--crop {x},{y},{w},{h} is no part of frames of {width} x {height} pixels"
+                f"--crop {x},{y},{w},{h} is not a part of frames of {width} x {height} pixels"
             )
         if self.line is not None and not y <= self.line < y + h:
             raise VideoError(f"--slice {self.line}: lines {y} to {y + h - 1} are shown")

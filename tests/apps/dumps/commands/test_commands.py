@@ -39,7 +39,7 @@ def ensured(monkeypatch):
     [
         (("--scenes", "cellar"), "error: no scene 'cellar'; available: bathroom, bathroom2, city"),
         (("--scenes", "city-crane"), "has no take 'crane'; available takes: static, cut"),
-        (("--seeds", "48:0"), "Invalid value for '--seeds': '48:0' is no list of seeds"),
+        (("--seeds", "48:0"), "Invalid value for '--seeds': '48:0' is not a list of seeds"),
         (("--buffers", "taste"), "error: "),
         (("--engine", "local=auto"), "error: --engine local=auto: local has no address"),
     ],
@@ -154,7 +154,7 @@ def root(tmp_path_factory):
         shutil.copytree(root / "run", root / "r")
         output = rlbench("export", root / "clips", "--format", "oidn", "--out", root / "exported")
         assert "oidnDenoise --hdr" in output
-    for file in (root / "exported").glob("*/[an]*.pfm"):  # albedo and normal are no images
+    for file in (root / "exported").glob("*/[an]*.pfm"):  # albedo and normal are not images
         file.unlink()
     return root
 

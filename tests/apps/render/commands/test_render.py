@@ -66,7 +66,7 @@ def test_a_scene_by_others_is_rendered_as_a_file(
         ("a.blend", ("--skip-missing",), "--skip-missing is for Mitsuba XML files"),
         ("a.xml", ("--tracer", "cycles"), "error: --tracer cycles does not read a.xml"),
         ("a.xml", ("--tracer", "luxcore"), "'luxcore' is not one of 'mitsuba', 'cycles'"),
-        ("a.xml", ("--size", "320"), "'320' is no size. Give WIDTHxHEIGHT"),
+        ("a.xml", ("--size", "320"), "'320' is not a size. Give WIDTHxHEIGHT"),
         ("a.xml", ("--exposure", "0"), "'0' is not a number above 0"),
         ("a.xml", ("-D", "max_depth"), "'max_depth' is no NAME=VALUE"),
         ("a.xml", ("--frames", 0), "Invalid value for '--frames'"),

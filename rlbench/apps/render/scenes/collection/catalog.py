@@ -84,7 +84,7 @@ def load_catalog() -> dict[str, CollectionScene]:
     """All scenes by name: those that ship, then those that the user pinned.
 
     A pin of the user, in the folder `scenes/pins` of the cache, adds files to a scene that ships
-    without a pin, or a scene of its own. A file that is no pin is set aside.
+    without a pin, or a scene of its own. A file that is not a pin is set aside.
     """
     document = documents.read_toml(CATALOG)
     listed = {

@@ -55,9 +55,9 @@ class PinnedFile:
         """Raise ValueError for a path that leads outside the folder, and for a wrong blob id."""
         parts = PurePosixPath(self.path).parts
         if not parts or parts[0] == "/" or ".." in parts or "\\" in self.path:
-            raise ValueError(f"'{self.path}' is no path inside the scene's folder")
+            raise ValueError(f"'{self.path}' is not a path inside the scene's folder")
         if not re.fullmatch(r"[0-9a-f]{40}", self.blob):
-            raise ValueError(f"'{self.blob}' is no git blob id, which has 40 hex digits")
+            raise ValueError(f"'{self.blob}' is not a git blob id, which has 40 hex digits")
 
 
 @dataclass(frozen=True)
@@ -76,10 +76,10 @@ def read_pin(file: Path) -> Pin:
     try:
         first, *lines = file.read_text(encoding="utf-8").splitlines() or [""]
     except ValueError as error:
-        raise SceneError(f"{file} is no pin of a scene: it is not text in UTF-8") from error
+        raise SceneError(f"{file} is not a pin of a scene: it is not text in UTF-8") from error
     found = HEADER_PATTERN.fullmatch(first)
     if found is None:
-        raise SceneError(f"{file} is no pin of a scene: its first line is not '{HEADER}'")
+        raise SceneError(f"{file} is not a pin of a scene: its first line is not '{HEADER}'")
     repository, commit, place = found.groups()
     folder, _, main = place.rpartition(MAIN)
     if PurePosixPath(main).suffix.lower() not in SUFFIXES or not folder:
@@ -133,12 +133,12 @@ def parse_place(text: str) -> tuple[str, str, str]:
     """
     found = PLACE.fullmatch(text)
     if found is None or not found[3].strip("/ "):
-        raise SceneError(f"'{text}' is no place of a scene. Give OWNER/REPOSITORY@COMMIT:FOLDER")
+        raise SceneError(f"'{text}' is not a place of a scene. Give OWNER/REPOSITORY@COMMIT:FOLDER")
     repository, commit, folder = found.groups()
     if not re.fullmatch(r"[0-9a-f]{40}", commit):
         raise SceneError(
-            f"'{commit}' is no full commit id. Give all 40 hex digits: names of branches and short "
-            "ids may mean other files later"
+            f"'{commit}' is not a full commit id. Give all 40 hex digits: names of branches and "
+            "short ids may mean other files later"
         )
     return repository, commit, folder.strip("/") or ROOT
 

@@ -35,7 +35,7 @@ def collection_scene(name: str, seed: int | None = None) -> Scene:
     is_xml = located.scene.suffix == ".xml"
     if not is_xml and located.scene.suffix.lower() not in GLTF:
         raise SceneError(
-            f"Cycles renders {located.scene.name}, so it is no scene of a preset. Render it by: "
+            f"Cycles renders {located.scene.name}, so it is not a scene of a preset. Render it by: "
             f"rlbench render {located.scene}"
         )
     source = f"{digest(located)} {REPAIRS_VERSION} {WANDER_VERSION} {name} {seed}"

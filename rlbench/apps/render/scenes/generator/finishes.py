@@ -31,7 +31,7 @@ WALL_ALBEDO = {"bright": (0.65, 0.85), "medium": (0.4, 0.65), "dark": (0.12, 0.3
 PALETTE_SIZE = 8  # colours of a palette finish
 PICTURES = 4  # rows and columns of the atlas of pictures
 PALETTED = ("paint", "lacquer")
-STRETCHED = (*PALETTED, "print", "rug")  # texture coordinates are no metres
+STRETCHED = (*PALETTED, "print", "rug")  # texture coordinates are not metres
 
 
 def draw_finishes(

@@ -38,12 +38,12 @@ LINE = format_pin(Pin("wig42/rooms", "0" * 40, "attic"))
 @pytest.mark.parametrize(
     ("text", "reason"),
     [
-        (f"{LINE}attic/a.obj\t0123\t5\n", "line 2: '0123' is no git blob id"),
-        (f"{LINE}attic/../a.obj\t{BLOB}\t5\n", "line 2: '../a.obj' is no path inside the scene"),
+        (f"{LINE}attic/a.obj\t0123\t5\n", "line 2: '0123' is not a git blob id"),
+        (f"{LINE}attic/../a.obj\t{BLOB}\t5\n", "line 2: '../a.obj' is not a path inside the scene"),
         (f"{LINE}cellar/a.obj\t{BLOB}\t5\n", "line 2: 'cellar/a.obj' is not in the folder attic"),
         (f"{LINE}attic/a.obj\t{BLOB}\tbig\n", "line 2: invalid literal"),
         (f"{LINE}attic/a.obj\n", "line 2: not enough values"),
-        ("", "is no pin of a scene: its first line is not"),
+        ("", "is not a pin of a scene: its first line is not"),
     ],
 )
 def test_a_damaged_pin_is_refused_by_its_line(tmp_path, text, reason):
