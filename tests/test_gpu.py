@@ -31,6 +31,7 @@ ROWS = [
     name for name in registry.expand(["all"]) if not registry.get_variant(name).traits.eager_reason
 ]
 FUSED = ("oidn", "accumulate/tuned", "ours", "svgf")  # each takes minutes to compile
+SCORES = ("psnr", "psnr_debiased", "ssim", "ms_ssim", "relmse", "smape", "bias", "blotches")
 TRAINED = (
     *("oidn/retrained", "accumulate/tuned", "ours/A2", "nppd", "imcd", "ntas", "dasr"),
     *("ours", "ours/A1", "ours/paper", "ours/paper-appo"),
@@ -108,6 +109,19 @@ def test_intels_library_runs_on_the_card_where_it_can():
     for one, other in zip(here, there, strict=True):
         difference = (other.image.cpu() - one.image).abs().mean()
         assert difference < 0.01 * one.image.abs().mean()
+
+
+@pytest.mark.parametrize("name", SCORES)
+def test_scores_are_those_of_a_processor(name):
+    metric = registry.load_run_metrics()[name]
+    (frame,) = procedural_clip(5, Size(2, 192, 192), frames=1)
+    halves = frame.reference.half_a, frame.reference.half_b
+    image = halves[0].lerp(halves[1].roll(1, -1), 0.5)
+    here, there = (
+        metric.score(metric.compare(image.to(each), *(half.to(each) for half in halves)))
+        for each in ("cpu", GPU)
+    )
+    torch.testing.assert_close(there.cpu(), here, rtol=1e-5, atol=1e-5)
 
 
 @pytest.mark.parametrize("spp", [0.1, 1.0, 4.0])
