@@ -70,7 +70,7 @@ def test_a_value_is_parsed(parse, text, value):
 REFUSED = {
     arguments.parse_budgets: (
         ("one", "-1", "nan", "1,inf", "", ","),
-        "no list of budgets. Give samples per pixel",
+        "is not a list of budgets. Give samples per pixel",
     ),
     arguments.parse_seeds: (
         ("48:0", "a", "", "-1", "1:", ":3", "1:2:3", "1.5"),

@@ -97,7 +97,7 @@ def test_video_without_images_names_the_cells_and_a_command_that_makes_them(
     [
         (("-m", "mean", "--spp", 8), "no images of mean on noise at 8 spp"),
         (("-m", "svgf"), "no rows of svgf; available: eaw, mean"),
-        (("--crop", "0,0,64"), "no part of a frame. Give X,Y,WIDTH,HEIGHT"),
+        (("--crop", "0,0,64"), "is not a part of a frame. Give X,Y,WIDTH,HEIGHT"),
         (("--layout", "wipe", "-m", "mean"), "a wipe shows two images"),
         (("--format", "webp,gif"), "--format gif: no such format; use mp4, webp"),
     ],
