@@ -144,7 +144,7 @@ REFUSED = {
     "batches": (lambda m: m.psnr([GREY] * 3, [GREY] * 2), "there are 3 images, and of reference 2"),
     "mask": (lambda m: m.ssim(GREY, GREY, mask=GREY[..., 0] > 0), "needs all pixels.*Crop"),
     "empty mask": (lambda m: m.psnr(GREY, GREY, mask=GREY[..., 0] < 0), "leaves no pixel"),
-    "convention": (lambda m: m.psnr(GREY, GREY, convention="pq"), "'pq' is not a convention"),
+    "convention": (lambda m: m.psnr(GREY, GREY, convention="pq"), "'pq' is no convention"),
     "small": (lambda m: m.ms_ssim(GREY, GREY), "returns ms_ssim_1, which is another metric"),
     "metric": (lambda m: m.score(GREY, GREY, "psnrr"), "Did you mean 'psnr'"),
     "file": (lambda m: m.psnr("nowhere.exr", GREY), "there is no file nowhere.exr"),
