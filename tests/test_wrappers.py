@@ -63,9 +63,9 @@ def test_half_precision_images_are_float32_and_nearly_the_same(dtype):
     for single, reduced in zip(full, half, strict=True):
         assert reduced.dtype == torch.float32
         assert not torch.equal(single, reduced)  # else nothing was rounded
-        # 16 layers, each with a relative rounding error of at most eps / 2 in values and in weights
+        # 16 layers, each with a relative rounding error of about eps / 4 in values and in weights
         error = (single - reduced).square().mean().sqrt() / single.square().mean().sqrt()
-        assert error < 16 * torch.finfo(dtype).eps
+        assert error < 8 * torch.finfo(dtype).eps
 
 
 def half_plan(folder: Path, *methods: str, half: bool = True) -> RunPlan:
