@@ -30,7 +30,7 @@ from rlbench.wrappers import HalfPrecision
 
 PROGRAM = "python -m research.half_precision"
 CPU = torch.device("cpu")
-PRECISIONS = (torch.float32, torch.bfloat16, torch.float16)
+PRECISIONS = ("float32", "bfloat16", "float16")
 ATEN = torch.ops.aten
 SUMS = (ATEN.convolution, ATEN.mm, ATEN.addmm, ATEN.bmm, ATEN.baddbmm)  # what a tensor core does
 
@@ -60,13 +60,14 @@ def measure_clip(methods: list[str], folder: Path, spp: float) -> Iterator[dict[
     for name in methods:
         method = registry.load_method(name, CPU)
         clip = open_clip(folder, method.traits.inputs)
+        halves = [(frame.reference.half_a, frame.reference.half_b) for frame in clip]
         scores = {}
-        for dtype in PRECISIONS:
+        for precision in PRECISIONS:
+            dtype = getattr(torch, precision)
             wrapped = method if dtype == torch.float32 else HalfPrecision(method, CPU, dtype)
             with SumInFloat32():  # type: ignore[no-untyped-call]
                 images = [result.image for result in run_clip(wrapped, clip, spp)]
-            halves = [(frame.reference.half_a, frame.reference.half_b) for frame in clip]
-            scores[str(dtype).removeprefix("torch.")] = fmean(
+            scores[precision] = fmean(
                 metric.score(metric.compare(image, *pair)).item()
                 for image, pair in zip(images, halves, strict=True)
             )
@@ -83,9 +84,9 @@ def main() -> None:
     methods = arguments.methods.split(",")
     rows = [row for cell in track(cells, "measuring") for row in measure_clip(methods, *cell)]
     table = pd.DataFrame(rows)
-    single, bf16, fp16 = (table[str(dtype).removeprefix("torch.")] for dtype in PRECISIONS)
-    differences = table.assign(bf16=bf16 - single, fp16=fp16 - single)
-    losses = differences.groupby("row", sort=False)[["bf16", "fp16"]].agg(["mean", "min"])
+    single, *halves = PRECISIONS
+    table[halves] = table[halves].sub(table[single], axis=0)
+    losses = table.groupby("row", sort=False)[halves].agg(["mean", "min"])
     console = Console(width=120)
     console.print("| row | bfloat16: mean | worst clip | float16: mean | worst clip |")
     console.print("| --- |" + " ---: |" * 4)

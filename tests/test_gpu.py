@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from statistics import fmean
 
 import pytest
@@ -11,7 +10,6 @@ import torch
 from rlbench import registry
 from rlbench.backends import use_backend
 from rlbench.checks.stress import bad_pixel, budgets, long_runs
-from rlbench.checks.stress.section import load_stressed_method
 from rlbench.clips.in_memory import InMemoryClip
 from rlbench.clips.procedural.clip import procedural_clip
 from rlbench.frames import Clip, GBuffer, Reference, Size, StoredPool
@@ -24,6 +22,7 @@ from rlbench.system.half_precision import half_dtype
 from rlbench.training import TrainingConfig
 from rlbench.training.train_state import TrainState
 from rlbench.wrappers import HalfPrecision
+from tests.checks.stress.broken_methods import verdicts
 
 pytestmark = pytest.mark.skipif(not torch.cuda.is_available(), reason="needs a GPU")
 GPU = torch.device("cuda")
@@ -86,13 +85,10 @@ def test_recorded_frames_in_half_precision_have_the_psnr_of_plain_ones(name):
 @pytest.mark.parametrize("name", FUSED)
 @pytest.mark.parametrize("section", [bad_pixel, budgets, long_runs], ids=lambda s: s.__name__)
 def test_recorded_rows_have_the_stress_verdicts_of_plain_ones(section, name):
-    stressed = load_stressed_method(name, GPU)
-    recorded = replace(stressed, method=RecordedMethod(stressed.method))
-    expected, found = (
-        {result.check: result.verdict for result in section.SECTION.run(each, True)}
-        for each in (stressed, recorded)
-    )
-    assert found == expected
+    method = registry.load_method(name, GPU)
+    recorded = RecordedMethod(method)
+    expected = verdicts(section.SECTION, method, device=GPU)
+    assert verdicts(section.SECTION, recorded, device=GPU) == expected
 
 
 def test_intels_library_runs_on_the_card_where_it_can():

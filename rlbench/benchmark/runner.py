@@ -333,9 +333,11 @@ class CellRunner:
         for result, scored in score_frames(
             template, self.metrics, results, cell.header, clip.ground_truth, max_samples
         ):
-            rows += [replace(row, note=row.note or self._remarks(cell, method)) for row in scored]
+            rows += scored
             pixels = add_counts(pixels, result.samples.counts)
             frames += [KeptFrame.of(result)] if self.keep_images else []
+        remarks = self._remarks(cell, method)  # some show in the frames alone
+        rows = [replace(row, note=row.note or remarks) for row in rows]
         if cell.traits.temporal:
             rows += memory_rows(template, registry.load_memory_metrics().values(), rows)
         rows += count_rows(template, pixels)

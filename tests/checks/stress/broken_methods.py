@@ -249,15 +249,15 @@ class AvoidsTheBrightest(Mean):
         return samples.mean, density
 
 
-def run_section(section, method, is_quick=True) -> dict[str, CheckResult]:
+def run_section(section, method, is_quick=True, device="cpu") -> dict[str, CheckResult]:
     """The results of a section for a method, by the name of the test."""
-    stressed = StressedMethod(type(method).__name__, method, torch.device("cpu"))
+    stressed = StressedMethod(type(method).__name__, method, torch.device(device))
     return {result.check: result for result in section.run(stressed, is_quick)}
 
 
-def verdicts(section, method, is_quick=True) -> dict[str, Verdict]:
+def verdicts(section, method, is_quick=True, device="cpu") -> dict[str, Verdict]:
     """The verdicts of a section for a method, by the name of the test."""
-    results = run_section(section, method, is_quick)
+    results = run_section(section, method, is_quick, device)
     return {test: result.verdict for test, result in results.items()}
 
 
