@@ -27,6 +27,7 @@ if TYPE_CHECKING:
     import openvino
 
 __all__ = [
+    "AUTO",
     "BACKENDS",
     "EAGER",
     "applicable_backend",

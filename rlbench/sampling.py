@@ -16,6 +16,7 @@ from rlbench.frames import Pool, Samples
 from rlbench.ops.asking import is_recorded, may_ask
 from rlbench.ops.dither import ONE_SHARE, round_to_total
 from rlbench.ops.recording import RecordedFunction
+from rlbench.ops.upload import upload
 from rlbench.questions import Questions
 
 __all__ = ["BudgetError", "allocate_counts", "draw_pilot", "draw_samples"]
@@ -67,7 +68,7 @@ def draw_samples(
     density, drawn = density.detach(), samples.counts
     total_samples = round(total_spp * h * w)
     limit = pool.max_samples if max_samples is None else min(max_samples, pool.max_samples)
-    seeds = torch.as_tensor(pool.rounding_seeds, device=drawn.device)
+    seeds = upload(pool.rounding_seeds, drawn.device)
     if discard_pilot:
         rest = total_samples - drawn.sum((2, 3))  # the same in every image
         low = torch.full_like(drawn, min_samples)
@@ -120,7 +121,7 @@ def allocate_counts(
         total = total.clamp(low.sum((1, 2), True), high.sum((1, 2), True))
     elif (share := _equal_share(Demand(*answers), low[0].numel())) is not None:
         return torch.full_like(min_counts, share)
-    seeds = torch.as_tensor(rounding_seeds, device=images.device)
+    seeds = upload(rounding_seeds, images.device)
     is_recordable = images.is_cuda and not is_recorded(images)
     divide = _divide_recorded if is_recordable else _divide
     counts = divide(images, total, low, high, seeds).unsqueeze(1)

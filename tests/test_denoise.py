@@ -20,6 +20,8 @@ from rlbench.denoise import (
 )
 from rlbench.frames import GBuffer, Size, StoredPool
 from rlbench.ops.nested_tensors import is_bit_equal, read_leaves, replace_leaves
+from rlbench.recorded_method import RecordedMethod
+from tests.tapes import Tapes
 
 FAMILIES = ("accumulate/tuned", "imcd", "nppd", "ntas", "oidn", "ours", "svgf", "eaw/still")
 
@@ -53,6 +55,21 @@ def test_a_shot_by_a_uniform_method_is_that_of_a_run(name):
     results = rlbench.run_clip(rlbench.load_method(name), clip, 1)
     for image, result in zip(images, results, strict=True):
         assert is_bit_equal(image, result.image)
+
+
+@pytest.mark.parametrize("name", ["oidn", "accumulate/tuned", "svgf"])
+def test_recorded_frames_are_those_of_the_method(name):
+    """As on a GPU: what the first frame of each kind did is replayed for those that follow."""
+    method, recorder = rlbench.load_method(name), Tapes()
+    frames, _ = noisy_frames(4)
+    pairs = zip(
+        rlbench.denoise(frames, RecordedMethod(method, recorder)),
+        rlbench.denoise(frames, method),
+        strict=True,
+    )
+    for image, expected in pairs:
+        torch.testing.assert_close(image, expected, rtol=1e-4, atol=1e-4)
+    assert sum(tape.replays for tape in recorder.tapes) >= 2
 
 
 def test_radiance_keeps_its_scale():

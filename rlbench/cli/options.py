@@ -155,8 +155,9 @@ Half = Annotated[
     bool,
     flag(METHODS, "--half", "run networks in half precision, for rows METHOD@half"),
 ]
+BackendName = Literal["eager", "openvino", "compile", "graph", "fused", "auto"]
 Backend = Annotated[
-    Literal["eager", "openvino", "compile", "graph", "fused", "auto"],
+    BackendName,
     option(
         METHODS,
         "what runs networks: PyTorch, OpenVINO, torch.compile, CUDA graphs of whole stages, the "

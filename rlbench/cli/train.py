@@ -112,8 +112,13 @@ def train(
     train_spp: options.TrainSpp = options.DEFAULT_TRAIN_SPP,
     bf16: options.TrainBf16 = False,
     graph: Annotated[
-        bool, flag(TRAINING, "--graph", "record each step as a CUDA graph; never run on a GPU yet")
-    ] = False,
+        bool | None,
+        flag(
+            TRAINING,
+            "--graph/--no-graph",
+            "record each step as a CUDA graph, or not; default: on a GPU that replays a small one",
+        ),
+    ] = None,
     max_grad_norm: options.MaxGradNorm = 1.0,
     seed: options.TrainSeed = 0,
     eval_interval: Annotated[
@@ -256,7 +261,7 @@ def train(
         spp=train_spp,
         mix=_mix_share(mix, preset, seeds, clips),
     )
-    runs = training_runs(out, config, device, minutes, allow_config_change)
+    runs = training_runs(out, config, device, minutes, allow_config_change, graph)
     runs = replace(runs, suffix=QUICK if quick else "", start=find_weights(start, out, names))
     runs.check(names)
     if quick:
@@ -373,20 +378,28 @@ def training_runs(
     device: str,
     minutes: float | None = None,
     allow_config_change: bool = False,
+    graph: bool | None = None,
 ) -> TrainingRuns:
-    """Runs with these options, a progress bar, and this command in their model cards."""
+    """Runs with these options, a progress bar, and this command in their model cards.
+
+    `graph` records each step; None: on a GPU that replays a small graph.
+    """
     from rlbench.benchmark.planning import select_device
     from rlbench.cli import console
+    from rlbench.ops.recording import CudaGraphs, can_record
     from rlbench.system.half_precision import emulation_reason
     from rlbench.training.loop import TrainingRuns
 
-    selected = str(select_device(device))
+    selected = str(target := select_device(device))
+    if graph is None:
+        graph = target.type == "cuda" and can_record(CudaGraphs(), target)
     if config.bf16 and (reason := emulation_reason(selected)):
         note(f"warning: {reason}; training is faster without --bf16")
     return TrainingRuns(
         out,
         config,
         selected,
+        graph,
         math.inf if minutes is None else minutes,
         _reproducing_command(sys.argv[1:]),
         allow_config_change,

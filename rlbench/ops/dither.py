@@ -11,6 +11,7 @@ from jaxtyping import Int
 from torch import Tensor
 
 from rlbench.ops.asking import may_ask
+from rlbench.ops.upload import upload
 
 __all__ = ["ONE_SHARE", "hash_to_integers", "round_to_total"]
 
@@ -51,7 +52,7 @@ def round_to_total(
     """
     n, h, w = shares.shape
     levels = (h - 1).bit_length() + (w - 1).bit_length()
-    thresholds = hash_to_integers(torch.as_tensor(seeds, device=shares.device), levels)
+    thresholds = hash_to_integers(upload(seeds, shares.device), levels)
     totals = total if isinstance(total, Tensor) else shares.new_full((n, 1, 1), total)
     return _divide_all(shares, totals, thresholds.view(levels, n, 1, 1))
 

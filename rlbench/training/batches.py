@@ -1,6 +1,6 @@
 """Training batches: random crops of random clips, augmented alike over all frames of a sequence.
 
-On a GPU the clips lie in its memory, and crops are cut there.
+On a GPU the clips lie in its memory, and crops are cut there, behind the step that still runs.
 """
 
 from __future__ import annotations
@@ -23,6 +23,7 @@ from rlbench.errors import RlbenchError
 from rlbench.family import Traits
 from rlbench.frames import Frame, GBuffer, Reference, Size, StoredPool
 from rlbench.ops.sanitize import sanitize_radiance
+from rlbench.ops.upload import upload
 from rlbench.sanitize import sanitize_frame
 from rlbench.training.task import TrainingConfig
 
@@ -51,13 +52,14 @@ class Augmentation:
 
     def permute_channels(self, image: Tensor) -> Tensor:
         """Radiance or albedo [... 3 h w], transformed, with permuted colour channels."""
-        return self.transform(image)[..., list(self.channels), :, :]
+        image = self.transform(image)
+        return torch.stack([image.select(-3, channel) for channel in self.channels], -3)
 
     def transform_motion(self, motion: Tensor) -> Tensor:
         """Motion [n 2 h w], transformed as an image; the vectors are reflected too."""
-        sign = motion.new_tensor([-1.0 if self.mirror else 1.0, -1.0 if self.flip else 1.0])
-        motion = self.transform(motion) * sign.view(1, 2, 1, 1)
-        return motion.flip(1) if self.transpose else motion
+        x, y = self.transform(motion).unbind(1)
+        x, y = -x if self.mirror else x, -y if self.flip else y
+        return torch.stack((y, x) if self.transpose else (x, y), 1)
 
     def apply(self, frame: Frame) -> Frame:
         """The frame, transformed; a frame without motion gets zeros, so that clips can be mixed."""
@@ -267,7 +269,7 @@ class ResidentClip:
         assert isinstance(self.frame.pool, StoredPool)
         samples, most = self.frame.pool.radiance, self.stored.max_samples
         orders = [sample_order(self.seed, self.name, index, samples.shape[1]) for index in indices]
-        order = torch.tensor([slots[:most] for slots, _ in orders], device=samples.device)
+        order = upload([slots[:most] for slots, _ in orders], samples.device)
         frames = slice(indices.start, indices.stop)
         rows = torch.arange(len(indices), device=order.device)[:, None]
         drawn = samples[frames, :, :, *window][rows, order]

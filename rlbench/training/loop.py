@@ -63,6 +63,7 @@ def train(
     config: TrainingConfig,
     *,
     device: str = "cpu",
+    graph: bool = False,
     minutes: float = math.inf,
     command: str = "",
     on_progress: OnProgress = lambda progress, loss: None,
@@ -85,6 +86,7 @@ def train(
     and its card NAME.toml. `command` and `remark` are recorded in the card; `on_progress` is called
     with progress and loss after each sequence.
 
+    With `graph`, each step is recorded as a CUDA graph, where the method's task allows it.
     With `config.until_flat` it goes on in cycles until one gains less than that. At SIGTERM it
     writes a checkpoint and ends the process.
 
@@ -106,7 +108,7 @@ def train(
         task := start_from(task, start) if start else task,
         config,
         device,
-        _select_recorder(config, device),
+        _select_recorder(device) if graph else None,
     )
     batches = Batches.from_config(train_clips, config, task.method.traits, device, mixed_in)
     _check_clips(method, [*train_clips, *mixed_in], sets, config.crop, config.spp or task.spp)
@@ -164,13 +166,13 @@ def _check_budgets(method: str, config: TrainingConfig) -> None:
             raise TrainingError(f"'{method}' cannot be trained at {spp:g} spp: {reason}")
 
 
-def _select_recorder(config: TrainingConfig, device: str) -> CudaGraphs | None:
-    """What records steps, if the config asks for it. Raises TrainingError unless on a GPU."""
-    if config.graph and torch.device(device).type != "cuda":
+def _select_recorder(device: str) -> CudaGraphs:
+    """What records steps. Raises TrainingError unless on a GPU."""
+    if torch.device(device).type != "cuda":
         raise TrainingError(
             f"--graph records CUDA graphs, and cannot run on {device}; add --device cuda"
         )
-    return CudaGraphs() if config.graph else None
+    return CudaGraphs()
 
 
 def _name_sets(
@@ -304,6 +306,7 @@ class TrainingRuns:
     out: Path  # the folder of all runs
     config: TrainingConfig
     device: str = "cpu"
+    graph: bool = False  # record each step as a CUDA graph
     minutes: float = math.inf  # for each method
     command: str = ""  # recorded in the model cards
     allow_config_change: bool = False  # resume checkpoints that have a different config
@@ -340,6 +343,7 @@ class TrainingRuns:
                 folder,
                 self.config,
                 device=self.device,
+                graph=self.graph,
                 minutes=self.minutes,
                 command=self.command,
                 on_progress=on_progress,

@@ -7,19 +7,22 @@ run again for others: forward and backward pass, clipping, the optimizer and the
 
 from __future__ import annotations
 
+import logging
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
 from functools import partial
 from typing import Any
 
-import torch
 from torch import Tensor, nn
 
 from rlbench.clips.in_memory import InMemoryClip
 from rlbench.frames import Clip, Frame, StoredPool
 from rlbench.ops.recording import HeldInputs, Recorder, Tape, kind_of
+from rlbench.ops.upload import upload
 
 __all__ = ["RecordedSteps", "Steps"]
+
+_logger = logging.getLogger(__name__)
 
 Steps = Callable[[Clip, float], Iterator[Tensor]]  # the loss of each step of a clip at a budget
 
@@ -29,12 +32,13 @@ class RecordedSteps:
 
     The first sequence of each kind runs as it is, and is recorded behind its last step. Questions
     of recorded frames are not answered, so an invalid density is not an error: it counts as 0.
+    After steps that cannot be recorded, and a warning, all run as they are.
     """
 
     def __init__(self, steps: Steps, weights: Sequence[nn.Parameter], recorder: Recorder) -> None:
         """`steps` takes a step for each loss that it yields; `weights` are those that may learn."""
         self._steps, self._weights = steps, weights
-        self._recorder = recorder
+        self._recorder: Recorder | None = recorder
         self._recorded: dict[object, tuple[HeldInputs, list[Tape[Tensor]]]] = {}
 
     def __call__(self, clip: Clip, spp: float) -> Iterator[Tensor]:
@@ -43,25 +47,32 @@ class RecordedSteps:
         kind = kind_of(frames), spp, tuple(weight.requires_grad for weight in self._weights)
         if kind not in self._recorded:
             yield from self._steps(clip, spp)
-            self._recorded[kind] = self._record(frames, spp)
+            if self._recorder:
+                self._try_to_record(kind, self._recorder, frames, spp)
             return
         held, tapes = self._recorded[kind]
         held.load(frames)
         for tape in tapes:
             yield tape.run()
 
-    def _record(self, frames: list[Frame], spp: float) -> tuple[HeldInputs, list[Tape[Tensor]]]:
-        held = HeldInputs(self._recorder, frames)
+    def _try_to_record(
+        self, kind: object, recorder: Recorder, frames: list[Frame], spp: float
+    ) -> None:
+        held, tapes = HeldInputs(recorder, frames), list[Tape[Tensor]]()
         losses = self._steps(InMemoryClip("recorded", "training", "", held.values[0]), spp)
-        tapes: list[Tape[Tensor]] = []
-        while (tape := Tape(self._recorder, partial(next, losses, None))).returns_something:
-            tapes.append(tape)
-        return held, tapes
+        try:
+            while (tape := Tape(recorder, partial(next, losses, None))).returns_something:
+                tapes.append(tape)
+            self._recorded[kind] = held, tapes
+        except RuntimeError as error:
+            reason = str(error).partition("\n")[0]
+            _logger.warning("steps cannot be recorded, and run as they are: %s", reason)
+            self._recorder = None
 
 
 def _with_seeds_on_device(index: int, frame: Frame) -> Frame:
     """A frame whose seeds are a tensor, and whose number is that within its sequence."""
     pool = frame.pool
     assert isinstance(pool, StoredPool)
-    seeds: Any = torch.as_tensor(pool.rounding_seeds, device=pool.radiance.device)
+    seeds: Any = upload(pool.rounding_seeds, pool.radiance.device)
     return replace(frame, index=index, pool=replace(pool, rounding_seeds=seeds))

@@ -76,7 +76,7 @@ WARM_UP_FRACTION = 0.15  # of the frames, in which the learning rate rises
 START_FACTOR, END_FACTOR = 1 / 25, 1e-4  # first and last learning rate, relative to the peak
 
 # fields that are stored only where they are chosen
-OPTIONAL = ("spp", "mix", "keep", "anchor", "anneal", "until_flat", "most_frames", "graph")
+OPTIONAL = ("spp", "mix", "keep", "anchor", "anneal", "until_flat", "most_frames")
 
 
 class TrainingError(RlbenchError, RuntimeError):
@@ -138,7 +138,6 @@ class TrainingConfig:
     # gains less than this on the mean over the validation sets, in dB; 0: one cycle
     until_flat: float = 0.0
     most_frames: int = 2_000_000  # after which no further cycle begins
-    graph: bool = False  # record each step as a CUDA graph, where the task allows it
 
     def __post_init__(self) -> None:
         """Raise TrainingError if the length of the training is given twice."""

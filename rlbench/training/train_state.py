@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import copy
+import logging
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from statistics import fmean
@@ -22,6 +23,8 @@ from rlbench.training.checkpoint import select_prefix
 from rlbench.training.optimizer_step import OptimizerStep
 from rlbench.training.recorded_steps import RecordedSteps, Steps
 from rlbench.training.task import TrainingConfig, TrainingTask
+
+_logger = logging.getLogger(__name__)
 
 DEFAULT_BUDGETS = (1.0, 4.0)  # of a validation, samples per pixel
 READING_INTERVAL = 100  # recorded steps between two readings of the loss
@@ -70,7 +73,9 @@ class TrainState:
         self.best: dict[str, Tensor] = {}  # averaged weights that `keep_average` stored
         self._run_steps: Steps = self._run_plain_steps
         self._unread, self._loss, self._reading_interval = 0, 0.0, 1
-        if recorder and not task.eager_reason:
+        if recorder and task.eager_reason:
+            _logger.warning("steps are not recorded: %s", task.eager_reason)
+        elif recorder:
             groups = self.step.optimizer.param_groups
             weights = [each for group in groups for each in group["params"]]
             self._run_steps = RecordedSteps(self._run_plain_steps, weights, recorder)

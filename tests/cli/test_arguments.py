@@ -30,8 +30,7 @@ from tests.conftest import install_plugin
         (
             crossval,
             TrainingConfig,
-            "anchor anneal ema_decay eval_interval graph keep mix most_frames sequence_length "
-            "until_flat",
+            "anchor anneal ema_decay eval_interval keep mix most_frames sequence_length until_flat",
         ),
     ],
 )

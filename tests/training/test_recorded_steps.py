@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 from dataclasses import replace
 
 import pytest
@@ -98,16 +99,36 @@ def test_a_fault_in_a_recorded_step_is_found_later_and_changes_no_weight():
     torch.testing.assert_close(tensors, before, rtol=0, atol=0)
 
 
-def test_a_task_that_draws_numbers_on_the_host_says_so_and_runs_as_it_is():
+class Refusing(Tapes):
+    """A recorder that can record nothing."""
+
+    def record(self, function):
+        raise RuntimeError("operation not permitted when stream is capturing")
+
+
+def test_steps_that_cannot_be_recorded_run_as_they_are_and_say_why(caplog):
+    losses = []
+    for recorder in (None, Refusing()):
+        task = registry.training_task("oidn/retrained", "cpu")
+        state = TrainState(task, TrainingConfig(), "cpu", recorder)
+        for seed in range(3):
+            state.train_sequence(sequence(seed), 1.0, 1.0, 0.9)
+            losses.append(state.read_loss())
+    assert losses[3:] == losses[:3]
+    assert len(re.findall("cannot be recorded.*stream is capturing", caplog.text)) == 1
+
+
+def test_a_task_that_draws_numbers_on_the_host_says_so_and_runs_as_it_is(caplog):
     recorder = Tapes()
     state = TrainState(
         registry.training_task("dasr/gamma", "cpu"), TrainingConfig(), "cpu", recorder
     )
     assert "drawn by" in state.task.eager_reason
+    assert state.task.eager_reason in caplog.text
     state.train_sequence(sequence(0), 1.0, 1.0, 0.0)
     assert not recorder.tapes
 
 
 def test_steps_are_recorded_on_a_gpu_alone(tmp_path):
     with pytest.raises(TrainingError, match="--graph records CUDA graphs, and cannot run on cpu"):
-        train("oidn/tuned", [], [], tmp_path, TrainingConfig(graph=True))
+        train("oidn/tuned", [], [], tmp_path, TrainingConfig(), graph=True)

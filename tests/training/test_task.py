@@ -52,7 +52,6 @@ def test_optional_fields_are_in_the_json_only_if_they_are_chosen():
         "anchor": 30.0,
         "until_flat": 0.05,
         "most_frames": 1000,
-        "graph": True,
     }
     assert TrainingConfig(24, **chosen).to_dict() == stored | chosen | {"spp": [4.0]}
     assert TrainingConfig(24, anneal=1.5).to_dict() == stored | {"anneal": 1.5}

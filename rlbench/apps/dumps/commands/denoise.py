@@ -122,7 +122,13 @@ def denoise(
     ] = None,
     plugin: options.Plugins = None,
     weights: options.Weights = options.SHIPPED,
-    backend: options.Backend = "eager",
+    backend: Annotated[
+        options.BackendName | None,
+        option(
+            METHODS,
+            "what runs networks, as in rlbench run; default: auto on a GPU, eager on a processor",
+        ),
+    ] = None,
     device: options.Device = "auto",
 ) -> None:
     """Denoise an animation or one image that another renderer wrote.
@@ -198,12 +204,13 @@ def denoise(
         typer.echo(f"{written / seconds:.2g} frames a second, with reading and writing files")
 
 
-def _choose_backend(method: str, backend: str, device: torch.device) -> str:
-    """The backend that the row uses where this one is asked for."""
+def _choose_backend(method: str, backend: str | None, device: torch.device) -> str:
+    """The backend that the row uses where this one is asked for, or none is."""
     from rlbench import registry
-    from rlbench.backends import applicable_backend, select_backend
+    from rlbench.backends import AUTO, EAGER, applicable_backend, select_backend
 
-    return applicable_backend(select_backend(backend, device), registry.get_variant(method))
+    name = backend or (AUTO if device.type == "cuda" else EAGER)
+    return applicable_backend(select_backend(name, device), registry.get_variant(method))
 
 
 def _find(

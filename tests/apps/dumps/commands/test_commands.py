@@ -9,9 +9,11 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import torch
 from PIL import Image
 
-from rlbench import metrics
+from rlbench import backends, metrics
+from rlbench.apps.dumps.commands.denoise import _choose_backend
 from rlbench.apps.render.jobs import render_clips
 from rlbench.benchmark import results as table
 from rlbench.clips.stored import open_clip
@@ -118,6 +120,13 @@ def test_openvino_denoises_as_pytorch_does_and_frames_say_who_did(render, tmp_pa
     for expected, found in zip(*files, strict=True):
         for name, plane in read_planes(expected).items():  # halves in the files
             np.testing.assert_allclose(read_planes(found)[name], plane, rtol=2e-3, atol=1e-4)
+
+
+@pytest.mark.parametrize(("device", "expected"), [("cpu", "eager"), ("cuda", "graph")])
+def test_denoise_replays_graphs_on_a_gpu_alone_by_default(monkeypatch, device, expected):
+    monkeypatch.setattr(backends, "can_record", lambda recorder, device: True)
+    assert _choose_backend("svgf", None, torch.device(device)) == expected
+    assert _choose_backend("svgf", "eager", torch.device(device)) == "eager"
 
 
 @pytest.mark.parametrize(
