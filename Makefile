@@ -89,11 +89,12 @@ speed: .venv/dev.stamp
 	$(BIN)/rlbench speed -m '$(SPEED)' --sizes 192,720 --backend eager,openvino --half --repeats 5 --out $(RESULTS)/speed
 	cp $(RESULTS)/speed/speed.md $(RESULTS)/speed/speed.csv docs/results
 
-# on a machine with a GPU: recorded frames and steps against plain ones, and times at three sizes; finished sizes are kept
+# on a machine with a GPU: recorded frames and steps against plain ones, cost of samples, and times at three sizes; finished sizes are kept
 gpu: .venv/dev.stamp
 	$(BIN)/rlbench doctor
 	$(BIN)/python -m pytest tests/test_gpu.py -n 0
 	$(BIN)/python -m pytest tests/test_conformance.py -m gpu -n 0
+	$(BIN)/python -m pytest tests/performance/test_bench_sizes.py --benchmark-only -q
 	for size in 192 1280x720 1080p; do for backend in eager graph fused; do \
 	  out=$(RESULTS)/gpu/$$size-$$backend; test -f $$out/speed.csv || \
 	  $(BIN)/rlbench speed -m '$(SPEED_GPU)' --sizes $$size --backend $$backend --half --repeats 5 --device $(GPU) --out $$out || exit 1; \
@@ -195,7 +196,7 @@ gradients: .venv/run.stamp
 	$(BIN)/python -m research.reports.gradients docs/results
 
 # long trainings of every compared row, on processors that are free: days; resumes. In pieces, on a GPU:
-# make campaign CAMPAIGN='--minutes 10 --device cuda --graph --batch 4'
+# make campaign CAMPAIGN='--minutes 10 --device cuda --batch 4'
 campaign: .venv/run.stamp
 	$(BIN)/rlbench train --queue research/campaign.toml --out runs/campaign $(CAMPAIGN)
 

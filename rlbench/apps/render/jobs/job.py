@@ -267,7 +267,7 @@ class TraceTimes(NamedTuple):
 def measure_trace_times(tracer: Tracer) -> TraceTimes:
     """The times of a tracer on this machine; on a busy one, estimates with a wide interval."""
     ran, waited = load.processor_ms(), load.waiting_ms()
-    times = tracer.measure_ms(lambda: tracer.trace_images(1, "pilot"), REPEATS)
+    times = tracer.measure_ms(lambda: tracer.trace_frame(1), REPEATS)
     gbuffers = tracer.measure_ms(lambda: render_gbuffer(tracer), GBUFFER_REPEATS)
     share = load.running_share(load.processor_ms() - ran, load.waiting_ms() - waited)
     low, ms, high = np.percentile(times, [5, 50, 95]).tolist()

@@ -67,6 +67,13 @@ class WavefrontTracer(Tracer):
             return traced
         return traced * (cap / traced.amax(-1, keepdim=True).clamp_min(cap))
 
+    def trace_frame(self, spp: int, stream: str = "pilot") -> Float[Tensor, "p 3"]:
+        """`spp` samples of every pixel, those of one pixel together; on a GPU they stay there."""
+        device = "cuda" if select_variant().startswith("cuda") else "cpu"
+        pixels = torch.arange(self.height * self.width, device=device).repeat_interleave(spp)
+        samples = torch.arange(spp, device=device).repeat(self.height * self.width)
+        return self.trace_tensors(pixels, samples, stream)
+
     def _integrate(self, pixel: Any, sample: Any, stream: str) -> Any:
         """Radiance of pairs (mi.UInt32), evaluated. No other function calls the integrator."""
         import drjit as dr

@@ -105,6 +105,10 @@ class Tracer(ABC):
         starts = range(0, n, chunk)
         return np.concatenate([self._launch(s, min(chunk, n - s), stream) for s in starts])
 
+    def trace_frame(self, spp: int, stream: str = "pilot") -> object:
+        """`spp` samples of every pixel, left where they are traced: what a time of samples is."""
+        return self.trace_images(spp, stream)
+
     def trace_mean(
         self,
         spp: int,
@@ -140,7 +144,7 @@ class Tracer(ABC):
 
         With `spp` > 1, the time of a launch of that many samples, divided by their number.
         """
-        times = self.measure_ms(lambda: self.trace_images(spp, "pilot"), repeats)
+        times = self.measure_ms(lambda: self.trace_frame(spp), repeats)
         return statistics.median(times) / spp
 
     def measure_ms(self, work: Callable[[], object], repeats: int) -> list[float]:
@@ -166,8 +170,7 @@ class Tracer(ABC):
             return clock.perf_counter() - start
 
         pairs = [
-            (seconds(work), seconds(lambda: self.trace_images(spp, "pilot")))
-            for _ in range(warm_up + 3)
+            (seconds(work), seconds(lambda: self.trace_frame(spp))) for _ in range(warm_up + 3)
         ]
         return statistics.median(work_s / paths_s for work_s, paths_s in pairs[warm_up:])
 

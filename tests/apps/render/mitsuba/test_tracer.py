@@ -34,6 +34,13 @@ def test_any_pairs_in_any_order_equal_the_stack(tracer, count):
     np.testing.assert_array_equal(tracer.trace_tensors(*pairs).numpy(), stack[samples, pixels])
 
 
+def test_what_is_timed_is_every_sample_of_a_frame(tracer):
+    """A GPU computes it in its own memory, without the copy to images on the host."""
+    stack = tracer.trace_images(3, "pilot").reshape(3, -1, 3)
+    timed = tracer.trace_frame(3).reshape(-1, 3, 3)
+    np.testing.assert_array_equal(timed.numpy(), stack.swapaxes(0, 1))
+
+
 def test_samples_depend_neither_on_earlier_times_nor_on_the_length_of_the_stack(variant):
     tracer = open_tracer(room(), H, W)
     tracer.set_time(1.0)
