@@ -38,6 +38,9 @@ EIGHT := accumulate/tuned,ours/by-rule,ours/A2,ours,oidn,oidn/tuned,accumulate/c
 SIZED := ours,ours/A2,ours/paper,accumulate/tuned,accumulate/fast,accumulate/contrast,oidn,oidn/tuned,nppd,svgf
 OWN_CAMERAS := living-room,classroom,staircase2,veach-mis,cornell_box_picture,isometric-room,office-room,low-poly-jungle-scene,shanghai,snowy-hut
 
+# clips of preset `hd`: those of `mini`, and those by others where they are
+HD_SCENES := city,temple,hall,ripples$(if $(RLBENCH_SCENES),$(comma)$(OWN_CAMERAS))
+
 # rows of the page of takes
 TAKES := $(RIVALS),ours/lag,$(PUBLISHED)
 

@@ -18,6 +18,7 @@ import pandas as pd
 
 from reports.analysis.differences import TIE_DB, VERDICT_NOTE
 from reports.analysis.rows import check_comparable, methods_from_elsewhere, split_by_device
+from reports.analysis.scores import Scores
 from reports.layout.page import describe_clips
 from reports.layout.style import line_styles
 from rlbench.apps.view.viewer.data import (
@@ -67,7 +68,11 @@ def write(
     data = {
         **_data_of_every_page(describe_clips(results), [*remarks, *left_out]),
         "devices": [
-            {"name": name, "decide": decision_data(rows, name), "table": table_data(rows, name)}
+            {
+                "place": Scores(rows, device=name).place,
+                "decide": decision_data(rows, name),
+                "table": table_data(rows, name),
+            }
             for name, rows in devices.items()
         ],
         "question": {"sample": opening.sample_ms, "deadline": opening.deadline_ms}

@@ -9,6 +9,7 @@ import math
 import pytest
 
 from reports.analysis.curves import measured_sample_ms
+from reports.analysis.rows import split_by_device
 from reports.analysis.scores import Scores
 from reports.decide import decide
 from reports.pareto import OVERALL, plotted_points
@@ -48,6 +49,12 @@ def test_the_page_decides_as_the_command_does(open_page, report):
             if not math.isnan(other.difference.low):  # that of the winner
                 gap = (other.difference.mean, other.difference.low, other.difference.high)
                 assert one["gap"] == pytest.approx(gap)
+
+
+def test_the_heading_names_device_and_size(open_page, report):
+    ((device, rows),) = split_by_device(report.rows).items()
+    (size,) = set(rows["size"]) - {""}
+    assert f"{device}, {size}" in open_page().page.inner_text(".toolbar")
 
 
 def test_plot_and_table_have_the_frame_time_of_the_command(open_page, report):

@@ -70,7 +70,7 @@ export function decideView() {
     ),
     select(
       "device",
-      () => data.devices.map((each, i) => [i, each.name || "unnamed device"]),
+      () => data.devices.map((each, i) => [i, each.place]),
       () => state.device,
       (value) => set({ device: Number(value) }),
     ),
@@ -121,7 +121,7 @@ export function decideView() {
     notes.textContent = [
       `${metric().title}: ${metric().convention}.`,
       ...metric().device_mixes.map((each) => `Two devices: ${each}.`),
-      `Frame time: ${gbufferText()} + inference on ${device().name || "an unnamed device"} + drawn samples x cost of a sample (measured: ${short(scope().sample_ms)} ms, ${metric().cost_source || "no source"}).`,
+      `Frame time: ${gbufferText()} + inference on ${device().place} + drawn samples x cost of a sample (measured: ${short(scope().sample_ms)} ms, ${metric().cost_source || "no source"}).`,
       `Intervals: 95 %, Student's t over ${scope().unit}. Between measured budgets scores are linear in log spp; none is extrapolated.`,
       ...doubts(scope()),
       ...scope().missing.map((each) => `${each}.`),
@@ -165,7 +165,7 @@ function describe(ranked, possible) {
       h("strong", {}, "No denoiser with a time fits. "),
       `The cheapest, ${curve.method} at ${short(spp)} spp, needs ${short(time)} ms${doubt(uncertainty(curve, state.sample))}. `,
       open.length ? `Times are uncertain: ${listNames(open)} may fit. ` : "",
-      `These are times of ${device().name || "an unnamed device"}.`,
+      `These are times of ${device().place}.`,
     ];
   }
   const [first, second] = ranked;

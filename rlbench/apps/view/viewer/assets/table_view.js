@@ -56,7 +56,7 @@ export function tableView() {
     controls.push(
       select(
         "device",
-        () => data.devices.map((each, i) => [i, each.name || "unnamed device"]),
+        () => data.devices.map((each, i) => [i, each.place]),
         () => state.device,
         (value) => set({ device: Number(value) }),
       ),
