@@ -14,14 +14,14 @@ from baselines.eaw import STILL, TRAITS
 from rlbench.family import Traits
 from rlbench.frames import GBuffer, Samples, Size
 from rlbench.ops.accumulation import surface_features
-from rlbench.ops.asking import is_recorded
+from rlbench.ops.asking import is_compiling
 from rlbench.ops.box_filter import block_mean, box_mean
 from rlbench.ops.demodulation import reflectance, surface_mask
 from rlbench.ops.fireflies import mean_without_fireflies
 from rlbench.ops.padded_rows import PaddedRows
 from rlbench.ops.padding import crop, pad
 from rlbench.ops.sanitize import repair_history, sanitize_radiance
-from rlbench.ops.stencils import atrous_taps
+from rlbench.ops.stencils import Stencil, atrous_stencil
 from rlbench.ops.transfer import HALF_MAX
 
 NO_SURFACE = 1e4  # log depth of pixels without a surface: weights to them are exactly 0
@@ -83,19 +83,15 @@ class Decay:
     """2^-|f_p - f_q|^2 of features f, for the same number of pixels in every call."""
 
     def __init__(self, features: Float[Tensor, "g row"], length: int) -> None:
-        """Buffers for `length` pixels, unless operations are recorded: compilers make their own."""
+        """Buffers for `length` pixels."""
         self.features, self.length = features, length
-        self.difference: Tensor | None = None
-        if not is_recorded(features):
-            self.difference = features.new_zeros(len(features), length + -length % ALIGNMENT)
-            self.decay = self.difference[:1].clone()
+        self.difference = features.new_zeros(len(features), length + -length % ALIGNMENT)
+        self.decay = self.difference[:1].clone()
 
     def __call__(self, p: slice, q: slice) -> Float[Tensor, "1 piece"]:
         """The weights, which the next call overwrites."""
-        ahead, behind, difference = self.features[:, p], self.features[:, q], self.difference
-        if difference is None:
-            return (ahead - behind).square_().sum(0, keepdim=True).neg_().exp2_()
-        torch.sub(ahead, behind, out=difference[:, : self.length])
+        difference = self.difference
+        torch.sub(self.features[:, p], self.features[:, q], out=difference[:, : self.length])
         torch.sum(difference.square_(), 0, keepdim=True, out=self.decay).neg_().exp2_()
         return self.decay[:, : self.length]
 
@@ -113,17 +109,34 @@ def atrous_pass(
     are summed apart from those before it: so chunks of the row do not change the order of a sum,
     and a window of an image has the bits of the image.
     """
-    values = torch.cat((irradiance, torch.ones_like(irradiance[:1])))
+    stencil, values = atrous_stencil(step), torch.cat((irradiance, torch.ones_like(irradiance[:1])))
+    if is_compiling():
+        return _average_windows(rows, stencil, features, values)
     before, after = torch.zeros_like(values), values.clone()
     for start, stop in rows.chunks(irradiance):
         decay = Decay(features, stop - start)
-        for tap in reversed(atrous_taps(step)):
+        for tap in reversed(stencil.taps):
             shift = rows.offset(tap.down, tap.right)
             p, q = slice(start, stop), slice(start + shift, stop + shift)
             weight = decay(p, q).mul_(tap.weight)
             after[:, p].addcmul_(values[:, q], weight)
             before[:, q].addcmul_(values[:, p], weight)
     total = before.add_(after)
+    return total[:-1] / total[-1:]
+
+
+def _average_windows(
+    rows: PaddedRows,
+    stencil: Stencil,
+    features: Float[Tensor, "g row"],
+    values: Float[Tensor, "c row"],
+) -> Float[Tensor, "c-1 row"]:
+    """As `atrous_pass`, all taps of a pixel at once: what a compiler makes one loop of."""
+    others, neighbours = (
+        rows.windows(each, stencil.reach, stencil.step) for each in (features, values)
+    )
+    distance = sum((own - other).square() for own, other in zip(features, others, strict=True))
+    total = (neighbours * (stencil.squares(values)[0] * torch.exp2(-distance))).sum((1, 2))
     return total[:-1] / total[-1:]
 
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import NamedTuple
 
@@ -23,12 +22,12 @@ from baselines.svgf.history import (
 )
 from rlbench.family import Traits
 from rlbench.frames import GBuffer, Samples, Size
-from rlbench.ops.asking import may_ask
+from rlbench.ops.asking import is_compiling, may_ask
 from rlbench.ops.demodulation import reflectance, surface_mask
 from rlbench.ops.fireflies import mean_without_fireflies
 from rlbench.ops.padded_rows import PaddedRows
 from rlbench.ops.sanitize import sanitize_radiance
-from rlbench.ops.stencils import Tap, atrous_taps, box_taps
+from rlbench.ops.stencils import Stencil, Tap, atrous_stencil, box_stencil
 
 MIN_HISTORY_LENGTH = 4.0  # frames; the variance of a shorter history is estimated spatially
 VARIANCE_RADIUS = 3  # of the window of that estimate, pixels
@@ -151,7 +150,7 @@ def atrous_filter(
             luminance(irradiance[None])[0],
             deviation_inverse * (-LOG2E / config.sigma_luminance),
         )
-        sums = atrous_pass(rows, atrous_taps(2**index), edges, guide, irradiance, variance)
+        sums = atrous_pass(rows, atrous_stencil(2**index), edges, guide, irradiance, variance)
         irradiance, variance = sums.values / sums.weight, sums.variance / sums.weight.square()
         if index == config.feedback_tap:
             feedback = irradiance
@@ -197,7 +196,7 @@ def _estimate_variance(
     pixel_luminance = luminance(irradiance[None])[0]
     guide = pixel_luminance, torch.full_like(pixel_luminance, -LOG2E / sigma_luminance)
     values = torch.cat((irradiance, rows.pack(moments.moments)))
-    sums = atrous_pass(rows, box_taps(VARIANCE_RADIUS), edges, guide, values, variance)
+    sums = atrous_pass(rows, box_stencil(VARIANCE_RADIUS), edges, guide, values, variance)
     mean = sums.values / sums.weight
     first_moment, second_moment = mean[3:4], mean[4:]
     boost = rows.pack(MIN_HISTORY_LENGTH / moments.length)
@@ -235,7 +234,7 @@ class Sums(NamedTuple):
 
 def atrous_pass(
     rows: PaddedRows,
-    taps: Sequence[Tap],
+    stencil: Stencil,
     edges: Edges,
     luminance_guide: tuple[Float[Tensor, "1 row"], Float[Tensor, "1 row"]],
     values: Float[Tensor, "c row"],
@@ -249,14 +248,46 @@ def atrous_pass(
     because on a CPU torch's exp takes ten times as long where the result is nearly 0, as most
     weights are.
     """
+    if is_compiling():
+        return _sum_windows(rows, stencil, edges, luminance_guide, values, variance)
     sums = Sums(values.clone(), variance.clone(), torch.ones_like(variance))
     for start, stop in rows.chunks(variance):
         scratch = torch.empty(4, stop - start, device=values.device, dtype=values.dtype)
-        for tap in taps:
+        for tap in stencil.taps:
             shift = rows.offset(tap.down, tap.right)
             p, q = slice(start, stop), slice(start + shift, stop + shift)
             _add_pair(p, q, tap, edges, luminance_guide, values, variance, sums, scratch)
     return sums
+
+
+def _sum_windows(
+    rows: PaddedRows,
+    stencil: Stencil,
+    edges: Edges,
+    luminance_guide: tuple[Float[Tensor, "1 row"], Float[Tensor, "1 row"]],
+    values: Float[Tensor, "c row"],
+    variance: Float[Tensor, "1 row"],
+) -> Sums:
+    """As `atrous_pass`, all neighbours of a pixel at once: what a compiler makes one loop of."""
+
+    def around(row: Tensor) -> Float[Tensor, "c side side row"]:
+        return rows.windows(row, stencil.reach, stencil.step)
+
+    luminance, luminance_decay = luminance_guide
+    kernel, distance = stencil.squares(values)
+    w_n = sum(own * other for own, other in zip(edges.normal, around(edges.normal), strict=True))
+    w_n = w_n.clamp_min(0)
+    for _ in range(SQUARINGS):
+        w_n = w_n * w_n
+    log_weight = (luminance[0] - around(luminance)[0]).abs() * luminance_decay[0]
+    depth_difference = (edges.depth[0] - around(edges.depth)[0]).abs()
+    log_weight = log_weight + depth_difference * edges.depth_decay[0] / distance.clamp_min(1)
+    weight = kernel * torch.where(distance > 0, log_weight.exp2() * w_n, 1.0)
+    return Sums(
+        (around(values) * weight).sum((1, 2)),
+        (around(variance) * weight.square()).sum((1, 2)),
+        weight.sum((0, 1))[None],
+    )
 
 
 def _add_pair(

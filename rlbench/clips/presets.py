@@ -199,7 +199,7 @@ _ROWS = (
     # main takes only, as in the paper: a clip has 10^10 paths, three hours on two cores
     Preset("paper", "the paper's protocol: 1000 spp references", (720, 720), 20, 500),
     # up to 10^9 paths a frame: two cores take a quarter of an hour for it
-    Preset("hd", "a GPU: frames of 1080p; further scenes by --scenes, other presets by --size 1920x1080",
+    Preset("hd", "a GPU: frames of 1080p; further scenes by --scenes, other presets by --size",
            (1080, 1920), 8, 32, min_noise_ceiling_db=31.0, max_reference_rounds=8),
     Preset("train", "training: generated scenes", (160, 160), 5, 64, (), tuple(range(28)),
            uses=("train", "decide"), pools=PATH_AND_RESTIR),

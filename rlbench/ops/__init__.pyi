@@ -9,7 +9,7 @@ from .accumulation import (
 )
 from .affinity import affinity_sum, cross_affinity_sum
 from .antilag import history_confidence
-from .asking import is_recorded, may_ask, next_age
+from .asking import is_compiling, is_recorded, may_ask, next_age
 from .color import OIDN_LUMINANCE, REC709_LUMINANCE, decode_srgb, encode_srgb, luminance
 from .demodulation import (
     demodulation_albedo,
@@ -56,7 +56,7 @@ from .sanitize import (
     sanitize_normal,
     sanitize_radiance,
 )
-from .stencils import Tap, atrous_taps
+from .stencils import Stencil, Tap, atrous_stencil
 from .surface_taps import SurfaceTaps, find_surface_taps
 from .transfer import log_forward, log_inverse, pu_forward, pu_inverse, squash_depth
 from .unet import UNet
@@ -68,13 +68,14 @@ __all__ = [
     "AccumulatedRadiance",
     "PaddedRows",
     "SurfaceTaps",
+    "Stencil",
     "Tap",
     "UNet",
     "UpsampleConcatConv",
     "accumulate",
     "affinity_sum",
     "apply_kernels",
-    "atrous_taps",
+    "atrous_stencil",
     "autoexposure",
     "bounded_exp_density",
     "crop",
@@ -129,6 +130,7 @@ __all__ = [
     "repair_spp",
     "reproject_radiance",
     "weigh_by_similarity",
+    "is_compiling",
     "is_recorded",
     "may_ask",
     "next_age",

@@ -2,13 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
+from functools import partial
 from typing import Any
 
 import torch
 from jaxtyping import Float
 from torch import Tensor
 from torch.nn import functional as F
+
+from rlbench.ops.asking import is_compiling
+from rlbench.ops.padded_rows import read_windows
 
 __all__ = ["affinity_sum", "cross_affinity_sum"]
 
@@ -77,13 +81,42 @@ def _sum(
         )
     h, w = source.shape[-2:]
     reach = side // 2 * dilation
-    rows = [
-        None if image is None else F.pad(image, (0, reach)).flatten(2)
-        for image in (features, sharpness, source_features, source)
-    ]
-    shifts = _tap_shifts(side, dilation, w + reach, source_features is None)
-    total: Tensor = _AffinitySum.apply(*rows, shifts)  # type: ignore[no-untyped-call]
-    return total.view(*total.shape[:2], h, w + reach)[..., :w]
+    features, sharpness, source = (
+        F.pad(image, (0, reach)).flatten(2) for image in (features, sharpness, source)
+    )
+    others = None if source_features is None else F.pad(source_features, (0, reach)).flatten(2)
+    rows, pitch = (features, sharpness, others, source), w + reach
+    total: Tensor
+    if is_compiling():
+        total = _sum_windows(*rows, partial(_windows, pitch, side, dilation))
+    else:
+        shifts = _tap_shifts(side, dilation, pitch, others is None)
+        total = _AffinitySum.apply(*rows, shifts)  # type: ignore[no-untyped-call]
+    return total.view(*total.shape[:2], h, pitch)[..., :w]
+
+
+def _sum_windows(
+    features: Tensor,
+    sharpness: Tensor,
+    source_features: Tensor | None,
+    source: Tensor,
+    windows: Callable[[Tensor], Float[Tensor, "n c side side row"]],
+) -> Float[Tensor, "n c row"]:
+    """All taps of a pixel at once: what a compiler makes one loop of."""
+    others = windows(features if source_features is None else source_features)
+    pairs = zip(features.unbind(1), others.unbind(1), strict=True)
+    distance = sum((own[:, None, None] - other).square() for own, other in pairs)
+    weight = (-sharpness[:, :, None] * distance).clamp_min(MIN_LOG_WEIGHT).exp()
+    if source_features is None:
+        away = torch.arange(weight.shape[1], device=weight.device) - weight.shape[1] // 2
+        weight = weight.where((away[:, None, None] != 0) | (away[:, None] != 0), 0.0)
+    return (windows(source) * weight[:, None]).sum((2, 3))
+
+
+def _windows(
+    pitch: int, side: int, dilation: int, rows: Tensor
+) -> Float[Tensor, "n c side side row"]:
+    return read_windows(rows, pitch, side // 2, dilation)
 
 
 def _tap_shifts(side: int, dilation: int, pitch: int, symmetric: bool) -> tuple[int, ...]:

@@ -12,12 +12,21 @@ from __future__ import annotations
 import torch
 from torch import Tensor, nn
 
-__all__ = ["is_recorded", "is_recording", "may_ask", "next_age"]
+__all__ = ["is_compiling", "is_recorded", "is_recording", "may_ask", "next_age"]
+
+
+def is_compiling() -> bool:
+    """True while torch.compile reads what happens here, which it will fuse.
+
+    One expression over the windows of all pixels then becomes one loop, and takes no memory for
+    them. Elsewhere a loop over their taps, in place, takes least.
+    """
+    return torch.compiler.is_compiling()
 
 
 def is_recording() -> bool:
     """True while torch.compile or a CUDA graph records what happens here."""
-    if torch.compiler.is_compiling():
+    if is_compiling():
         return True
     # without a driver the second question is an error
     has_begun = torch.cuda.is_initialized()  # type: ignore[no-untyped-call]

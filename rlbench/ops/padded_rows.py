@@ -10,7 +10,7 @@ from jaxtyping import Float, Int
 from torch import Tensor
 from torch.nn import functional as F
 
-__all__ = ["PaddedRows"]
+__all__ = ["PaddedRows", "read_windows"]
 
 CHUNK_PIXELS = 1 << 16  # pixels per chunk on a CPU: they fit its cache and occupy two threads
 
@@ -56,6 +56,12 @@ class PaddedRows:
         images = row.view(row.shape[0], self.n, -1, self.pitch).transpose(0, 1)
         return images[:, :, self.margin : self.margin + self.h, : self.w]
 
+    def windows(
+        self, row: Float[Tensor, "c row"], reach: int, step: int
+    ) -> Float[Tensor, "c side side row"]:
+        """The neighbours of each element, `step` pixels apart; see `read_windows`."""
+        return read_windows(row, self.pitch, reach, step)
+
     def pixel_index(
         self, x: Float[Tensor, "n h w"], y: Float[Tensor, "n h w"]
     ) -> Int[Tensor, "n h w"]:
@@ -78,3 +84,21 @@ class PaddedRows:
         end = row.shape[-1] - start - self.margin
         size = CHUNK_PIXELS if row.device.type == "cpu" else end - start
         return ((first, min(first + size, end)) for first in range(start, end, size))
+
+
+def read_windows(
+    rows: Float[Tensor, "*c row"], pitch: int, reach: int, step: int
+) -> Float[Tensor, "*c side side row"]:
+    """The (2 reach + 1)^2 neighbours of each element, `step` pixels apart, in a view.
+
+    `rows` are images whose lines are joined end to end, `pitch` elements long; margins have to
+    separate them, at least reach * step elements wide. Beyond both ends are zeros.
+
+    >>> lines = torch.tensor([[1.0, 2, 0, 3, 4, 0]])
+    >>> read_windows(lines, pitch=3, reach=1, step=1)[0, :, :, 3].tolist()  # around the 3
+    [[0.0, 1.0, 2.0], [0.0, 3.0, 4.0], [0.0, 0.0, 0.0]]
+    """
+    side, margin = 2 * reach + 1, reach * step * (pitch + 1)
+    padded = F.pad(rows, (margin, margin)).contiguous()
+    size = (*rows.shape[:-1], side, side, rows.shape[-1])
+    return padded.as_strided(size, (*padded.stride()[:-1], step * pitch, step, 1))

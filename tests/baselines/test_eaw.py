@@ -29,6 +29,13 @@ def denoise(gbuffer: GBuffer, radiance: Tensor, config: Config = Config()) -> Te
     return Eaw(config).denoise(gbuffer, one_sample(radiance), None)[0]
 
 
+@pytest.fixture(params=[False, True], ids=["taps", "windows"])
+def either_form(request, monkeypatch):
+    """Taps in place, or windows as torch.compile sees them."""
+    monkeypatch.setattr("baselines.eaw.method.is_compiling", lambda: request.param)
+
+
+@pytest.mark.usefixtures("either_form")
 @pytest.mark.parametrize(
     "config", [Config(), Config(phi_color=1.0, phi_normal=0.02, phi_depth=1e-2)], ids=str
 )

@@ -11,7 +11,7 @@ from baselines.svgf.history import History, reproject_history
 from baselines.svgf.method import VARIANTS, Edges, Svgf, atrous_pass, build
 from rlbench.frames import GBuffer, Size
 from rlbench.ops.padded_rows import PaddedRows
-from rlbench.ops.stencils import atrous_taps
+from rlbench.ops.stencils import atrous_stencil
 from tests.baselines import wavelet_twins
 from tests.baselines.moving import FRAMES, frame
 from tests.baselines.noise import array, exponential_noise, one_sample, wall
@@ -33,6 +33,13 @@ def run(method: Svgf, gbuffers: list[GBuffer], radiances: list[Tensor]) -> list[
     return images
 
 
+@pytest.fixture(params=[False, True], ids=["taps", "windows"])
+def either_form(request, monkeypatch):
+    """Taps in place, or windows as torch.compile sees them."""
+    monkeypatch.setattr("baselines.svgf.method.is_compiling", lambda: request.param)
+
+
+@pytest.mark.usefixtures("either_form")
 @pytest.mark.parametrize("variant", VARIANTS)
 def test_every_frame_equals_plain_loops(variant):
     """Moving surfaces, disocclusions, background, an emitter, fireflies."""
@@ -55,7 +62,7 @@ def test_a_pass_without_edges_reduces_the_variance_of_noise_to_7_percent(step):
     ones = flat.pack(torch.ones(1, 1, side, side))
     zero = torch.zeros_like(ones)
     edges = Edges(flat.pack(wall(side, side).normal), zero, zero)
-    sums = atrous_pass(flat, atrous_taps(step), edges, (zero, zero), ones, ones)
+    sums = atrous_pass(flat, atrous_stencil(step), edges, (zero, zero), ones, ones)
     middle = flat.unpack(sums.variance / sums.weight.square())[0, 0, side // 2, side // 2]
     assert float(middle) == pytest.approx((70 / 256) ** 2, rel=1e-6)
 

@@ -8,7 +8,7 @@ import torch
 from rlbench.ops import padded_rows
 from rlbench.ops.padded_rows import PaddedRows
 from rlbench.ops.padding import crop, pad
-from rlbench.ops.stencils import atrous_taps, box_taps
+from rlbench.ops.stencils import atrous_stencil, box_stencil
 
 SIZES = [(1, 1, 1, 3), (1, 5, 7, 3), (2, 4, 6, 5), (3, 9, 2, 8)]
 every_size = pytest.mark.parametrize("size", SIZES, ids=str)
@@ -66,17 +66,18 @@ def test_chunks_cover_every_pixel_once_within_the_margin(size, chunk, monkeypatc
 
 
 @pytest.mark.parametrize(
-    ("taps", "count"),
-    [(box_taps(3), 49), (box_taps(1), 9), (atrous_taps(1), 25), (atrous_taps(8), 25)],
+    ("stencil", "count"),
+    [(box_stencil(3), 49), (box_stencil(1), 9), (atrous_stencil(1), 25), (atrous_stencil(8), 25)],
 )
-def test_taps_their_opposites_and_the_centre_make_the_whole_kernel(taps, count):
+def test_taps_their_opposites_and_the_centre_make_the_whole_kernel(stencil, count):
+    taps = stencil.taps
     offsets = {(t.down, t.right) for t in taps} | {(-t.down, -t.right) for t in taps} | {(0, 0)}
     assert len(offsets) == count == 2 * len(taps) + 1
 
 
 def test_the_spline_is_the_square_of_1_4_6_4_1():
-    assert 1 + 2 * sum(tap.weight for tap in atrous_taps(4)) == pytest.approx(64 / 9)
-    corner = next(tap for tap in atrous_taps(2) if (tap.down, tap.right) == (4, -4))
+    assert 1 + 2 * sum(tap.weight for tap in atrous_stencil(4).taps) == pytest.approx(64 / 9)
+    corner = next(tap for tap in atrous_stencil(2).taps if (tap.down, tap.right) == (4, -4))
     assert corner.weight == pytest.approx((1 / 16) ** 2 / (6 / 16) ** 2)
 
 
@@ -95,3 +96,26 @@ def test_padding_replicates_the_border():
     padded = pad(torch.arange(6.0).view(1, 1, 2, 3), 4)
     expected = torch.tensor([[0.0, 1, 2, 2], [3, 4, 5, 5], [3, 4, 5, 5], [3, 4, 5, 5]])
     assert torch.equal(padded[0, 0], expected)
+
+
+@pytest.mark.parametrize("stencil", [box_stencil(2), atrous_stencil(1), atrous_stencil(3)])
+def test_squares_have_the_weight_and_distance_of_each_tap(stencil):
+    weight, distance = stencil.squares(torch.zeros(1, dtype=torch.float64))
+    for tap in stencil.taps:
+        for sign in (1, -1):
+            y, x = (stencil.reach + sign * each // stencil.step for each in tap[:2])
+            assert weight[y, x].item() == pytest.approx(tap.weight)
+            assert distance[y, x].item() == pytest.approx((tap.down**2 + tap.right**2) ** 0.5)
+
+
+@every_size
+def test_windows_are_the_neighbours(size):
+    rows = PaddedRows(*size)
+    row, stencil = rows.pack(numbered_images(rows)), atrous_stencil(max(1, rows.margin // 2))
+    windows = rows.windows(row, stencil.reach, stencil.step)
+    pixels = row[0].nonzero()[:, 0]
+    for tap in stencil.taps:
+        if max(tap.down, abs(tap.right)) <= rows.margin:
+            y, x = (stencil.reach + each // stencil.step for each in tap[:2])
+            expected = row[0, pixels + rows.offset(tap.down, tap.right)]
+            assert torch.equal(windows[0, y, x, pixels], expected)

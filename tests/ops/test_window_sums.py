@@ -64,9 +64,13 @@ def random_inputs(n: int, h: int, w: int) -> tuple[Tensor, Tensor, Tensor, Tenso
     return randn(n, 3, h, w), sharpness, randn(n, 3, h, w, seed=2), randn(n, 2, h, w, seed=3)
 
 
+@pytest.mark.parametrize("is_compiled", [False, True], ids=["taps", "windows"])
 @pytest.mark.parametrize("window", WINDOWS)
 @pytest.mark.parametrize(("h", "w"), SIZES)
-def test_affinity_sums_equal_unfolding(h: int, w: int, window: tuple[int, int]) -> None:
+def test_affinity_sums_equal_unfolding(
+    h: int, w: int, window: tuple[int, int], is_compiled: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(affinity, "is_compiling", lambda: is_compiled)
     features, sharpness, others, source = (part.double() for part in random_inputs(2, h, w))
     crossed = unfolded_cross_affinity_sum(features, sharpness, others, source, *window)
     # a pixel has distance zero to itself, so weight 1
