@@ -48,7 +48,7 @@ def fuzz_in_a_process(count: int, strategy: Strategy, property_: Property) -> No
             os._exit(0)
     os.close(child_errors)
     with os.fdopen(errors, "rb") as pipe:
-        assert pipe.read() == b""
+        assert (error := pipe.read()) == b"", error.decode()
     assert os.waitpid(child, 0)[1] == 0
 
 

@@ -12,7 +12,7 @@ from functools import partial
 import pytest
 import torch
 
-from rlbench.apps.cluster.ray_executor import RayExecutor, WorkerEnvironment
+from rlbench.apps.cluster.ray_executor import RayExecutor, WorkerEnvironment, code_version
 from rlbench.apps.render.jobs.job import Job
 from rlbench.apps.render.jobs.render_clips import render_missing
 from rlbench.benchmark import results
@@ -42,6 +42,12 @@ def shared_cache(tmp_path_factory):
 def _shared_cache(_own_cache, shared_cache, monkeypatch):
     """One cache for all tests of this file: Ray starts new workers for other variables."""
     monkeypatch.setenv("RLBENCH_CACHE", str(shared_cache))
+
+
+@pytest.fixture(autouse=True)
+def _installed_plugins():
+    """Each process reads once what is installed, and some tests install more."""
+    code_version.cache_clear()
 
 
 @pytest.fixture(scope="module")
