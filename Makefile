@@ -31,6 +31,7 @@ SHOWN := view=flip&clip=0&frame=7&a=ours&b=mean&split=0.5&px=120&py=90
 SPP := 1000
 HD := hd
 GPU := cuda
+QUEUE := campaign
 
 .PHONY: demo docs tables baseline table1 table1-720 viewer unseen speed gpu hd metric-speed overhead takes regressions real large recovery drift gradients stress training campaign contact teaser switched videos site test test-apps test-all lowest format clean
 
@@ -197,9 +198,9 @@ gradients: .venv/run.stamp
 	$(BIN)/python -m research.reports.gradients docs/results
 
 # long trainings of every compared row, on processors that are free: days; resumes. In pieces, on a GPU:
-# make campaign CAMPAIGN='--minutes 10 --device cuda --batch 4'
+# make campaign CAMPAIGN='--minutes 10 --device cuda --batch 4'; of what memory and samplers learn: QUEUE=memory
 campaign: .venv/run.stamp
-	$(BIN)/rlbench train --queue research/campaign.toml --out runs/campaign $(CAMPAIGN)
+	$(BIN)/rlbench train --queue research/$(QUEUE).toml --out runs/$(QUEUE) $(CAMPAIGN)
 
 # validation of each row that ships against its training, from the model cards
 training: .venv/run.stamp

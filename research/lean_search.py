@@ -46,6 +46,9 @@ CONFIGS = {
     "tuned-display-latent": replace(
         BY_RULE, latent=8, bptt=3, denoiser_start="tuned", loss="display"
     ),
+    # the sampler of ours by one gradient alone; ours/A1 is that by the surrogate
+    "by-rewards": replace(OURS, learner="reinforce"),
+    "by-rounding": replace(OURS, learner="stochastic"),
     "fast": replace(BY_RULE, latent=8, bptt=3, denoiser=FAST_WIDTHS),
 }
 

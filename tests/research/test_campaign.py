@@ -8,7 +8,7 @@ import tomllib
 from rlbench import registry
 from tests.cli.runner import CHECKOUT, rlbench
 
-CAMPAIGN = CHECKOUT / "research" / "campaign.toml"
+CAMPAIGN, MEMORY = (CHECKOUT / "research" / f"{name}.toml" for name in ("campaign", "memory"))
 
 
 def test_the_status_lists_the_trainings_and_starts_nothing(tmp_path):
@@ -16,6 +16,16 @@ def test_the_status_lists_the_trainings_and_starts_nothing(tmp_path):
     assert "ours/paper-C waiting for ours/paper-A2 0 of 20000" in output
     assert re.search(r"\d+ waiting$", output)
     assert not (tmp_path / "r").exists()
+
+
+def test_the_second_queue_gives_each_row_the_length_of_its_control(tmp_path, monkeypatch):
+    monkeypatch.chdir(CHECKOUT)  # plugins are named relative to it
+    output = rlbench("train", "--queue", MEMORY, "--out", tmp_path / "r", "--status")
+    lengths = dict(re.findall(r"(\S+) waiting 0 of (\d+)", output))
+    assert {n for n, frames in lengths.items() if frames == "100000"} == {
+        name for name in lengths if name.startswith("sampler-")
+    }
+    assert set(lengths.values()) == {"100000", "600000"}
 
 
 def test_the_campaign_anchors_the_rows_that_start_from_weights_of_others():
