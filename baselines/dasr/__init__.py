@@ -27,9 +27,6 @@ FAMILY = Family(
     licence="Apache-2.0",
     variants={
         "": Variant("Does one sample per pixel show where the others should go?", TRAITS),
-        "gamma": Variant(
-            "Does the sampler learn better from a smooth sample model?", TRAITS, pretrained=False
-        ),
         "intel": Variant(
             "Does the pilot gain from an equal start? (U-Nets of oidn, Intel's weights)",
             INTEL,

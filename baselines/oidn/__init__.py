@@ -31,9 +31,6 @@ FAMILY = Family(
             trained_by="Intel",
         ),
         "retrained": Variant("How far does the network get when trained on our clips?", TRAITS),
-        "retrained-small": Variant(
-            "Is a third of the parameters enough on our clips?", TRAITS, pretrained=False
-        ),
         "tuned": Variant("What does fine-tuning Intel's weights on our clips add?", TRAITS),
         "filled": Variant(
             "Does it work below 1 spp if holes are filled before it? (weights of tuned)",

@@ -43,7 +43,6 @@ VARIANTS = {
     "": Config(),
     "fast": Config(widths=FAST_WIDTHS),  # what does Intel's small network cost?
     "retrained": Config(),  # how far does the network get with our training?
-    "retrained-small": Config(widths=FAST_WIDTHS),  # is a third of the parameters enough?
     "tuned": Config(starts_from_intel=True),  # what does fine-tuning Intel's weights add?
     "filled": Config(below_one_spp=FilledHoles),
     "half": Config(below_one_spp=HalfResolution),

@@ -27,7 +27,6 @@ PARAMETERS = {  # by hand from the layers; published ones where the fact sheet h
     "ntas": {"sampler": 920_097, "denoiser": 947_114},
     "ntas/direct": {"denoiser": 920_675 + 3 * (32 + 64) * 9},
     "oidn/retrained": {"": 919_811},
-    "oidn/retrained-small": {"": 320_035},
 }
 RECURRENT = ("imcd", "nppd", "ntas", "ntas/intel")
 SIZE = Size(1, 32, 32)

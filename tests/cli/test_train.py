@@ -51,10 +51,10 @@ def test_train_hands_over_its_options(calls, tmp_path):
     words += ("--max-grad-norm", 0.5, "--seed", 3, "--minutes", 2, "--allow-config-change")
     words += ("--device", "cpu", "--out", tmp_path, "--seeds", "0:3", "--preset", "train")
     words += ("--render-ahead", 7)
-    output = rlbench("train", "-m", "oidn/retrained,oidn/retrained-small,mean", *words)
+    output = rlbench("train", "-m", "oidn/retrained,oidn/tuned,mean", *words)
     assert "mean has nothing to train" in output
     selection, (runs, *_), _ = calls
-    assert [name for _, name, _, _ in calls[1:]] == ["oidn/retrained", "oidn/retrained-small"]
+    assert [name for _, name, _, _ in calls[1:]] == ["oidn/retrained", "oidn/tuned"]
     config = runs.config
     assert (config.frames, config.batch, config.crop, config.spp) == (60, 2, 32, (1, 4))
     assert (config.bf16, config.max_grad_norm, config.seed) == (True, 0.5, 3)
@@ -70,7 +70,7 @@ def test_a_pattern_leaves_out_rows_with_published_weights_and_says_so(calls):
     output = rlbench("train", "-m", "oidn/*")
     assert "oidn has weights that Intel trained and published" in output
     assert "oidn/fast has weights that Intel trained and published" in output
-    trained = ["oidn/retrained", "oidn/retrained-small", "oidn/tuned"]
+    trained = ["oidn/retrained", "oidn/tuned"]
     assert [name for _, name, _, _ in calls[1:]] == trained
 
 

@@ -296,7 +296,7 @@ def test_a_budget_that_the_method_does_not_support_is_refused(tmp_path, spp):
             "changed: batch 2 -> 1; eval_interval 12 -> 1000; frames 24 -> 48; sequence_length 3",
         ),
         ("retrained", 40, OIDN, r"changed: data \['clip-32 .* -> \['clip-40"),
-        ("retrained-small", 32, OIDN, "belongs to method 'oidn/retrained', but 'oidn/retrained-s"),
+        ("tuned", 32, OIDN, "belongs to method 'oidn/retrained', but 'oidn/tuned'"),
     ],
     ids=["config", "clips", "method"],
 )

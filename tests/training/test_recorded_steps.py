@@ -121,7 +121,12 @@ def test_steps_that_cannot_be_recorded_run_as_they_are_and_say_why(caplog):
 def test_a_task_that_draws_numbers_on_the_host_says_so_and_runs_as_it_is(caplog):
     recorder = Tapes()
     state = TrainState(
-        registry.training_task("dasr/gamma", "cpu"), TrainingConfig(), "cpu", recorder
+        replace(
+            registry.training_task("dasr", "cpu"), eager_reason="numbers are drawn by the host"
+        ),
+        TrainingConfig(),
+        "cpu",
+        recorder,
     )
     assert "drawn by" in state.task.eager_reason
     assert state.task.eager_reason in caplog.text

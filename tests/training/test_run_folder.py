@@ -51,7 +51,7 @@ def test_weights_are_found_by_file_and_by_run(tmp_path):
     assert own == registry.shipped_weights("ours/A2")
 
 
-@pytest.mark.parametrize("start", ["ours/A2", "dasr/gamma", "unknown"])
+@pytest.mark.parametrize("start", ["ours/A2", "dasr/intel", "unknown"])
 def test_weights_that_are_not_there_are_an_error(tmp_path, start):
     (tmp_path / "ours-A2").mkdir()  # a run that is not finished hides the shipped weights
     with pytest.raises(OptionError, match=f"--start {start}: there is no such weights file"):

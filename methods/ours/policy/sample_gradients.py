@@ -8,7 +8,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from baselines.dasr.train import redraw_as_gamma
+from methods.ours.policy.gamma_samples import redraw_as_gamma
 from methods.ours.policy.learner import AllocationProblem, SamplerLearner
 from methods.ours.policy.reinforce import BlockReinforce
 from rlbench.frames import Frame, Samples
@@ -39,7 +39,7 @@ def gamma_gradient_per_sample(
 ) -> Samples:
     """The same samples, scaled so that their mean is a new draw of `relaxed_counts` samples.
 
-    As in Salehi et al. 2022, by `baselines.dasr.train`, but for methods that read samples one by
+    As in Salehi et al. 2022, by `gamma_samples`, but for methods that read samples one by
     one, which that paper does not treat: slots keep their ratios, and with them what they say about
     the noise. Pixels whose samples are all black show the drawn mean in every filled slot.
     """
