@@ -90,16 +90,26 @@ speed: .venv/dev.stamp
 	$(BIN)/rlbench speed -m '$(SPEED)' --sizes 192,720 --backend eager,openvino --half --repeats 5 --out $(RESULTS)/speed
 	cp $(RESULTS)/speed/speed.md $(RESULTS)/speed/speed.csv docs/results
 
-# on a machine with a GPU: recorded frames and steps against plain ones, cost of samples, and times at three sizes; finished sizes are kept
+# $(call time_on_gpu,ROWS,BACKEND,FOLDER): time rows at $$size plainly and by a backend, into a folder of results/gpu, unless that was done
+define time_on_gpu
+out=$(RESULTS)/gpu/$(3); test -f $$out/speed.csv || \
+$(BIN)/rlbench speed -m $(1) --sizes $$size --backend eager,$(2) --half --repeats 5 --device $(GPU) --out $$out || exit 1
+endef
+
+# on a machine with a GPU: recorded frames and steps against plain ones, cost of samples, and times at three sizes; what is done is kept
 gpu: .venv/dev.stamp
 	$(BIN)/rlbench doctor
-	$(BIN)/python -m pytest tests/test_gpu.py -n 0
+	mkdir -p $(RESULTS)/gpu
+	for test in $$(grep -o '^def test_[a-z0-9_]*' tests/test_gpu.py | cut -c5-); do \
+	  passed=$(RESULTS)/gpu/$$test; test -f $$passed || \
+	  { $(BIN)/python -m pytest tests/test_gpu.py -n 0 -k $$test && touch $$passed; } || exit 1; done
 	$(BIN)/python -m pytest tests/test_conformance.py -m gpu -n 0
 	$(BIN)/python -m pytest tests/performance/test_bench_sizes.py --benchmark-only -q
-	for size in 192 1280x720 1080p; do for backend in eager graph fused; do \
-	  out=$(RESULTS)/gpu/$$size-$$backend; test -f $$out/speed.csv || \
-	  $(BIN)/rlbench speed -m '$(SPEED_GPU)' --sizes $$size --backend $$backend --half --repeats 5 --device $(GPU) --out $$out || exit 1; \
-	done; done
+	for size in 192 1280x720 1080p; do \
+	  $(call time_on_gpu,$(SPEED_GPU),graph,$$size-graph); \
+	  for row in $(filter-out oidn-intel,$(subst $(comma), ,$(SPEED_GPU))); do \
+	    $(call time_on_gpu,oidn-intel$(comma)$$row,fused,$$size-fused/$$row); done; \
+	done
 
 # frames of 1080p, on a machine with a GPU: clips, scores, times, and which row for 120, 60 and 30 frames a second; resumes
 # also of the scenes by others, where RLBENCH_SCENES names their folder
