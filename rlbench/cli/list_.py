@@ -68,9 +68,10 @@ def print_installed(installed: dict[str, list[dict[str, Any]]]) -> None:
         for row in working:
             table.add_row(*(_format_value(row[column]) for column in columns))
         console.print(table)
+        for reason in dict.fromkeys(filter(None, (row.get("eager_reason") for row in rows))):
+            names = [row["name"] for row in rows if row.get("eager_reason") == reason]
+            console.print(f"not recordable: {', '.join(names)}: {reason}", markup=False)
         for row in rows:
-            if reason := row.get("eager_reason"):
-                console.print(f"{row['name']} is not recordable: {reason}", markup=False)
             if "broken" in row:
                 text = f"{row['name']} (from {row['from']}) cannot be imported: {row['broken']}"
                 console.print(text, style="red", markup=False)
