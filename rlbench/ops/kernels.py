@@ -11,6 +11,8 @@ from jaxtyping import Float
 from torch import Tensor
 from torch.nn import functional as F
 
+from rlbench.ops.asking import is_compiling
+
 __all__ = ["apply_kernels", "splat_kernels"]
 
 
@@ -117,7 +119,7 @@ class _SplatKernels(torch.autograd.Function):
 def _gather(kernels: Tensor, padded: Tensor, stride: int = 1) -> Tensor:
     """Sum over taps of the kernel times the shifted image."""
     n, _, h, w = kernels.shape
-    if _prefers_few_steps(padded):
+    if _prefers_few_steps(padded) or is_compiling():
         return (kernels[:, None] * _windows(padded, kernels, stride)).sum(2)
     total = padded.new_zeros(n, padded.shape[1], h, w)
     for tap, shifted in _shifts(padded, kernels, stride):
