@@ -4,8 +4,9 @@ Command: python -m research.least_times accumulate/tuned,ours,svgf
 
 Bytes are counted where every operation reads and writes memory by itself (backend `graph`), and
 behind the fusion of torch.compile (`fused`); its loops are planned here for a processor, and not
-compiled. No cache counts, so small frames may be faster. What a frame takes at least is the larger
-of two times: of its bytes at the card's bandwidth, and of its multiply-adds at the card's peak.
+compiled. Each stage is fused by itself, so what both reproject counts twice. No cache counts, so
+small frames may be faster. What a frame takes at least is the larger of two times: of its bytes at
+the card's bandwidth, and of its multiply-adds at the card's peak.
 """
 
 from __future__ import annotations
