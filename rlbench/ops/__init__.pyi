@@ -39,7 +39,7 @@ from .losses import (
     temporal_l1,
 )
 from .memory_format import to_channels_last, to_contiguous_float32
-from .padded_rows import PaddedRows
+from .padded_rows import PaddedRows, read_windows
 from .padding import crop, pad
 from .radiance_history import (
     find_static_pixels,
@@ -105,6 +105,7 @@ __all__ = [
     "pad",
     "pu_forward",
     "pu_inverse",
+    "read_windows",
     "reflectance",
     "repair_history",
     "repair_light",
