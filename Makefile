@@ -208,7 +208,7 @@ gradients: .venv/run.stamp
 	$(BIN)/python -m research.reports.gradients docs/results
 
 # long trainings of every compared row, on processors that are free: days; resumes. In pieces, on a GPU:
-# make campaign CAMPAIGN='--minutes 10 --device cuda --batch 4'; of what memory and samplers learn: QUEUE=memory
+# make campaign CAMPAIGN='--minutes 10 --device cuda --batch 4'; of what memory and samplers learn: QUEUE=memory; rates: QUEUE=rates
 campaign: .venv/run.stamp
 	$(BIN)/rlbench train --queue research/$(QUEUE).toml --out runs/$(QUEUE) $(CAMPAIGN)
 
