@@ -32,6 +32,7 @@ CORE = (
     "rlbench.ops.recording",
     "rlbench.ops.sanitize",
     "rlbench.ops.transfer",
+    "rlbench.ops.upload",
     "rlbench.sanitize",
     "rlbench.run",
     "rlbench.clips.stored",
