@@ -99,6 +99,7 @@ endef
 # on a machine with a GPU: recorded frames and steps against plain ones, cost of samples, and times at three sizes; what is done is kept
 gpu: .venv/dev.stamp
 	$(BIN)/rlbench doctor
+	$(BIN)/python -c 'import torch; assert torch.cuda.is_available(), "make gpu needs a GPU"'
 	mkdir -p $(RESULTS)/gpu
 	for test in $$(grep -o '^def test_[a-z0-9_]*' tests/test_gpu.py | cut -c5-); do \
 	  passed=$(RESULTS)/gpu/$$test; test -f $$passed || \

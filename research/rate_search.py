@@ -23,7 +23,7 @@ FACTORS = (1, 2, 4, 8)  # on the peak that the row ships with
 
 def build(variant: str, device: torch.device, weights: str | None) -> Method:
     """The row with the weights of a file (its path), or "random" ones."""
-    return registry.load_method(variant.partition("-")[0], device, weights)
+    return registry.load_method(variant.partition("-x")[0], device, weights)
 
 
 def training_task(variant: str, device: torch.device, seed: int) -> TrainingTask:

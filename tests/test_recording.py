@@ -280,3 +280,18 @@ def test_a_question_is_named_with_its_line(tmp_path, monkeypatch):
     result = run_check(MethodUnderTest("faulty/asks for a value"), "recordable")
     assert "broken_fixtures.py:" in result.found
     assert "eager_reason" in result.remedy
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    "name", [name for name in RECORDABLE if not registry.get_variant(name).traits.adaptive]
+)
+def test_a_plan_that_no_frame_calls_is_one_graph_too(name):
+    """Rows that sample uniformly have one, and a frame of theirs skips it."""
+    method = registry.load_method(name, CPU)
+    (frame,) = procedural_clip(3, Size(1, 36, 44), frames=1)
+    valid, state = sanitize_frame(frame, method.traits.inputs), method.start(Size(1, 36, 44))
+    torch._dynamo.reset()
+    with torch.no_grad():
+        explained = torch._dynamo.explain(method.plan)(valid.gbuffer, frame.pool.empty(), state)
+    assert explained.graph_break_count == 0, explained.break_reasons

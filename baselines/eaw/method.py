@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from functools import partial
 from typing import NamedTuple
 
 import torch
@@ -18,7 +19,7 @@ from rlbench.ops.asking import is_compiling
 from rlbench.ops.box_filter import block_mean, box_mean
 from rlbench.ops.demodulation import reflectance, surface_mask
 from rlbench.ops.fireflies import mean_without_fireflies
-from rlbench.ops.padded_rows import PaddedRows
+from rlbench.ops.padded_rows import PaddedRows, read_windows
 from rlbench.ops.padding import crop, pad
 from rlbench.ops.sanitize import repair_history, sanitize_radiance
 from rlbench.ops.stencils import Stencil, atrous_stencil
@@ -132,9 +133,8 @@ def _average_windows(
     values: Float[Tensor, "c row"],
 ) -> Float[Tensor, "c-1 row"]:
     """As `atrous_pass`, all taps of a pixel at once: what a compiler makes one loop of."""
-    others, neighbours = (
-        rows.windows(each, stencil.reach, stencil.step) for each in (features, values)
-    )
+    around = partial(read_windows, pitch=rows.pitch, reach=stencil.reach, step=stencil.step)
+    others, neighbours = map(around, (features, values))
     distance = sum((own - other).square() for own, other in zip(features, others, strict=True))
     total = (neighbours * (stencil.squares(values)[0] * torch.exp2(-distance))).sum((1, 2))
     return total[:-1] / total[-1:]

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import NamedTuple
 
 import torch
@@ -25,7 +26,7 @@ from rlbench.frames import GBuffer, Samples, Size
 from rlbench.ops.asking import is_compiling, may_ask
 from rlbench.ops.demodulation import reflectance, surface_mask
 from rlbench.ops.fireflies import mean_without_fireflies
-from rlbench.ops.padded_rows import PaddedRows
+from rlbench.ops.padded_rows import PaddedRows, read_windows
 from rlbench.ops.sanitize import sanitize_radiance
 from rlbench.ops.stencils import Stencil, Tap, atrous_stencil, box_stencil
 
@@ -269,10 +270,7 @@ def _sum_windows(
     variance: Float[Tensor, "1 row"],
 ) -> Sums:
     """As `atrous_pass`, all neighbours of a pixel at once: what a compiler makes one loop of."""
-
-    def around(row: Tensor) -> Float[Tensor, "c side side row"]:
-        return rows.windows(row, stencil.reach, stencil.step)
-
+    around = partial(read_windows, pitch=rows.pitch, reach=stencil.reach, step=stencil.step)
     luminance, luminance_decay = luminance_guide
     kernel, distance = stencil.squares(values)
     w_n = sum(own * other for own, other in zip(edges.normal, around(edges.normal), strict=True))

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from functools import partial
 from typing import Any
 
@@ -13,6 +13,7 @@ from torch.nn import functional as F
 
 from rlbench.ops.asking import is_compiling
 from rlbench.ops.padded_rows import read_windows
+from rlbench.ops.stencils import Stencil, box_stencil
 
 __all__ = ["affinity_sum", "cross_affinity_sum"]
 
@@ -88,7 +89,7 @@ def _sum(
     rows, pitch = (features, sharpness, others, source), w + reach
     total: Tensor
     if is_compiling():
-        total = _sum_windows(*rows, partial(_windows, pitch, side, dilation))
+        total = _sum_windows(*rows, box_stencil(side // 2), pitch, dilation)
     else:
         shifts = _tap_shifts(side, dilation, pitch, others is None)
         total = _AffinitySum.apply(*rows, shifts)  # type: ignore[no-untyped-call]
@@ -100,23 +101,19 @@ def _sum_windows(
     sharpness: Tensor,
     source_features: Tensor | None,
     source: Tensor,
-    windows: Callable[[Tensor], Float[Tensor, "n c side side row"]],
+    stencil: Stencil,
+    pitch: int,
+    dilation: int,
 ) -> Float[Tensor, "n c row"]:
     """All taps of a pixel at once: what a compiler makes one loop of."""
+    windows = partial(read_windows, pitch=pitch, reach=stencil.reach, step=dilation)
     others = windows(features if source_features is None else source_features)
     pairs = zip(features.unbind(1), others.unbind(1), strict=True)
     distance = sum((own[:, None, None] - other).square() for own, other in pairs)
     weight = (-sharpness[:, :, None] * distance).clamp_min(MIN_LOG_WEIGHT).exp()
     if source_features is None:
-        away = torch.arange(weight.shape[1], device=weight.device) - weight.shape[1] // 2
-        weight = weight.where((away[:, None, None] != 0) | (away[:, None] != 0), 0.0)
+        weight = weight.where(stencil.squares(weight)[1] > 0, 0.0)
     return (windows(source) * weight[:, None]).sum((2, 3))
-
-
-def _windows(
-    pitch: int, side: int, dilation: int, rows: Tensor
-) -> Float[Tensor, "n c side side row"]:
-    return read_windows(rows, pitch, side // 2, dilation)
 
 
 def _tap_shifts(side: int, dilation: int, pitch: int, symmetric: bool) -> tuple[int, ...]:

@@ -56,12 +56,6 @@ class PaddedRows:
         images = row.view(row.shape[0], self.n, -1, self.pitch).transpose(0, 1)
         return images[:, :, self.margin : self.margin + self.h, : self.w]
 
-    def windows(
-        self, row: Float[Tensor, "c row"], reach: int, step: int
-    ) -> Float[Tensor, "c side side row"]:
-        """The neighbours of each element, `step` pixels apart; see `read_windows`."""
-        return read_windows(row, self.pitch, reach, step)
-
     def pixel_index(
         self, x: Float[Tensor, "n h w"], y: Float[Tensor, "n h w"]
     ) -> Int[Tensor, "n h w"]:

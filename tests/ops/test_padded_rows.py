@@ -6,7 +6,7 @@ import pytest
 import torch
 
 from rlbench.ops import padded_rows
-from rlbench.ops.padded_rows import PaddedRows
+from rlbench.ops.padded_rows import PaddedRows, read_windows
 from rlbench.ops.padding import crop, pad
 from rlbench.ops.stencils import atrous_stencil, box_stencil
 
@@ -112,7 +112,7 @@ def test_squares_have_the_weight_and_distance_of_each_tap(stencil):
 def test_windows_are_the_neighbours(size):
     rows = PaddedRows(*size)
     row, stencil = rows.pack(numbered_images(rows)), atrous_stencil(max(1, rows.margin // 2))
-    windows = rows.windows(row, stencil.reach, stencil.step)
+    windows = read_windows(row, rows.pitch, stencil.reach, stencil.step)
     pixels = row[0].nonzero()[:, 0]
     for tap in stencil.taps:
         if max(tap.down, abs(tap.right)) <= rows.margin:

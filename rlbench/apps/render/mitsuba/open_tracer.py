@@ -67,12 +67,19 @@ class WavefrontTracer(Tracer):
             return traced
         return traced * (cap / traced.amax(-1, keepdim=True).clamp_min(cap))
 
-    def trace_frame(self, spp: int, stream: str = "pilot") -> Float[Tensor, "p 3"]:
-        """`spp` samples of every pixel, those of one pixel together; on a GPU they stay there."""
+    def trace_frame(self, spp: int, stream: str = "pilot") -> list[Float[Tensor, "p 3"]]:
+        """`spp` samples of every pixel, by launches; on a GPU they stay there.
+
+        In each launch those of one pixel are together, as in `_launch`.
+        """
         device = "cuda" if select_variant().startswith("cuda") else "cpu"
-        pixels = torch.arange(self.height * self.width, device=device).repeat_interleave(spp)
-        samples = torch.arange(spp, device=device).repeat(self.height * self.width)
-        return self.trace_tensors(pixels, samples, stream)
+        pixels = torch.arange(self.height * self.width, device=device)
+        radiance = []
+        for first, count in self._launches(spp):
+            samples = torch.arange(first, first + count, device=device).repeat(len(pixels))
+            pairs = pixels.repeat_interleave(count), samples
+            radiance.append(self.trace_tensors(*pairs, stream))
+        return radiance
 
     def _integrate(self, pixel: Any, sample: Any, stream: str) -> Any:
         """Radiance of pairs (mi.UInt32), evaluated. No other function calls the integrator."""

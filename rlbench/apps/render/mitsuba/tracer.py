@@ -12,7 +12,7 @@ import statistics
 import struct
 import time as clock
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from functools import cache
 from typing import Any
 
@@ -101,9 +101,7 @@ class Tracer(ABC):
 
     def trace_images(self, n: int, stream: str = "input") -> Float[Array, "n h w 3"]:
         """Independent 1-spp images: samples 0 to n - 1 of every pixel."""
-        chunk = self._images_per_launch()
-        starts = range(0, n, chunk)
-        return np.concatenate([self._launch(s, min(chunk, n - s), stream) for s in starts])
+        return np.concatenate([self._launch(*samples, stream) for samples in self._launches(n)])
 
     def trace_frame(self, spp: int, stream: str = "pilot") -> object:
         """`spp` samples of every pixel, left where they are traced: what a time of samples is."""
@@ -185,6 +183,11 @@ class Tracer(ABC):
     def _launch_sum(self, first: int, count: int, stream: str) -> Float[Array, "h w 3"]:
         """The sum of the images of one launch, in float64."""
         return np.asarray(self._launch(first, count, stream).sum(0, dtype=np.float64))
+
+    def _launches(self, n: int) -> Iterator[tuple[int, int]]:
+        """First sample and number of samples of each launch, for samples 0 to n - 1."""
+        chunk = self._images_per_launch()
+        return ((start, min(chunk, n - start)) for start in range(0, n, chunk))
 
     def _images_per_launch(self) -> int:
         return max(1, MAX_PATHS // (self.height * self.width))

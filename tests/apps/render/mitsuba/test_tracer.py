@@ -34,11 +34,15 @@ def test_any_pairs_in_any_order_equal_the_stack(tracer, count):
     np.testing.assert_array_equal(tracer.trace_tensors(*pairs).numpy(), stack[samples, pixels])
 
 
-def test_what_is_timed_is_every_sample_of_a_frame(tracer):
+@pytest.mark.parametrize("launches", [1, 3])
+def test_what_is_timed_is_every_sample_of_a_frame(tracer, launches, monkeypatch):
     """A GPU computes it in its own memory, without the copy to images on the host."""
+    monkeypatch.setattr("rlbench.apps.render.mitsuba.tracer.MAX_PATHS", 3 * H * W // launches)
     stack = tracer.trace_images(3, "pilot").reshape(3, -1, 3)
-    timed = tracer.trace_frame(3).reshape(-1, 3, 3)
-    np.testing.assert_array_equal(timed.numpy(), stack.swapaxes(0, 1))
+    timed = tracer.trace_frame(3)
+    assert len(timed) == launches
+    joined = torch.cat([each.reshape(H * W, -1, 3) for each in timed], 1)
+    np.testing.assert_array_equal(joined.numpy(), stack.swapaxes(0, 1))
 
 
 def test_samples_depend_neither_on_earlier_times_nor_on_the_length_of_the_stack(variant):
